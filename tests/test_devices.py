@@ -23,9 +23,9 @@ DTYPES = frozenset(["double", "float64"])
 
 # These functions may wait for the GPU, because no step calls them: they build, save, restore, or report errors.
 NOT_IN_A_STEP = frozenset(
-    """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure _tell_writes
+    """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure require_finite_writes
     load_state_dict state_dict restore save shape_ids set_external_force_and_torque get_active_iterable_terms
-    model_digest checked_rays constant _plain _number set_permanent_body_wrench _read_limits
+    model_digest checked_rays constant _plain _number set_permanent_body_wrench
     _require_order _judge _on_host rolling_signs _endings _finish_episodes in_world_convention opengl_quat""".split()  # noqa: SIM905
 )
 HOST = {

@@ -105,9 +105,8 @@ class Values:
             now = self._present
         if self._present is before and all(map(operator.is_, now, before)):
             return
-        if self._present is before and any(
-            _is_container(was) and was is not n for was, n in zip(before, now, strict=True)
-        ):
+        changed = zip(before, now, strict=True) if self._present is before else ()
+        if any(_is_container(was) and was is not value for was, value in changed):
             self._find_settings()
             now = self._present
         self._present = now
@@ -138,11 +137,10 @@ class Values:
         """Copy each tensor that a part rebinds into static memory, which all recordings share."""
         moved = []
         with torch.inference_mode(False), torch.no_grad():
-            for slot in found:
-                value = slot.get()
-                if slot.id not in self.rebound or not isinstance(value, torch.Tensor):
+            for slot in (slot for slot in found if slot.id in self.rebound):
+                value, static = slot.get(), self._statics.get(slot.id)
+                if not isinstance(value, torch.Tensor):
                     continue
-                static = self._statics.get(slot.id)
                 if static is None or form_of(static) != form_of(value):
                     static = self._statics[slot.id] = value.detach().clone()
                     slot.set(static)
@@ -181,9 +179,8 @@ class TouchedMemory(TorchDispatchMode):
 
     def note(self, tree: Any) -> None:
         """Note the memory of all tensors in a nested structure."""
-        self._memory |= {
-            leaf.untyped_storage().data_ptr() for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)
-        }
+        leaves = (leaf for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
+        self._memory |= {leaf.untyped_storage().data_ptr() for leaf in leaves}
 
     def has(self, tensor: torch.Tensor) -> bool:
         """Return whether torch operations have read or written the memory of a tensor."""
@@ -227,8 +224,7 @@ def _undeclared_in(value: Any) -> Any:
     if isinstance(value, torch.Tensor) or is_plain(value) or is_own(type(value)):
         return None
     if isinstance(value, (dict, list)):
-        items = list(value.values()) if isinstance(value, dict) else value
-        found = [_undeclared_in(item) for item in items]
+        found = [_undeclared_in(item) for item in (value.values() if isinstance(value, dict) else value)]
         return [len(found), *found] if isinstance(value, list) else found
     try:
         return snapshot(value, "")

@@ -9,27 +9,18 @@ from typing import Any, Literal
 
 import torch
 
+from wheelleg_exp import managers
 from wheelleg_exp.env.env_attributes import EnvAttributes
 from wheelleg_exp.env.graph_capture import GraphCapture, captured_part, host_part
 from wheelleg_exp.env.isaaclab_attributes import Cfg, IsaacLabAttributes
 from wheelleg_exp.machine import require_memory
-from wheelleg_exp.managers import (
-    ActionManager,
-    CommandManager,
-    CurriculumManager,
-    EventManager,
-    ObservationManager,
-    RecorderManager,
-    RewardManager,
-    SceneManager,
-    TerminationManager,
-)
 from wheelleg_exp.managers.async_queries import AsyncMaskQuery
 from wheelleg_exp.managers.non_finite import failures, note_observations, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
+from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
@@ -86,20 +77,20 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.autoreset: AutoresetMode = "same_step"
         self.observers: list[Callable[[], None]] = []
 
-        self.scene_manager = SceneManager(cfg, mjcf, self.num_envs, self.streams.get)
+        self.scene_manager = managers.SceneManager(cfg, mjcf, self.num_envs, self.streams.get)
         self.scene = self.scene_manager.scene
-        self.event_manager = EventManager(cfg.get("events"), self)
+        self.event_manager = managers.EventManager(cfg.get("events"), self)
         self.event_manager.apply("prestartup")
         self.scene.play()
         self.event_manager.play()
-        self.command_manager = CommandManager(cfg.get("commands"), self)
+        self.command_manager = managers.CommandManager(cfg.get("commands"), self)
         dataset = read_section(Dataset, cfg.get("dataset") or {}, "env.dataset")
-        self.recorder_manager = RecorderManager(cfg.get("recorders"), dataset, self)
-        self.action_manager = ActionManager(cfg.get("actions"), self)
-        self.observation_manager = ObservationManager(read_value(Env, cfg, "env", "observations"), self)
-        self.termination_manager = TerminationManager(cfg.get("terminations"), self)
-        self.reward_manager = RewardManager(cfg.get("rewards"), self)
-        self.curriculum_manager = CurriculumManager(cfg.get("curriculum"), self)
+        self.recorder_manager = managers.RecorderManager(cfg.get("recorders"), dataset, self)
+        self.action_manager = managers.ActionManager(cfg.get("actions"), self)
+        self.observation_manager = managers.ObservationManager(read_value(Env, cfg, "env", "observations"), self)
+        self.termination_manager = managers.TerminationManager(cfg.get("terminations"), self)
+        self.reward_manager = managers.RewardManager(cfg.get("rewards"), self)
+        self.curriculum_manager = managers.CurriculumManager(cfg.get("curriculum"), self)
         self.event_manager.apply("startup")
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self.reset_order = [
@@ -107,7 +98,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             *(self.command_manager, self.event_manager, self.termination_manager, self.recorder_manager),
         ]
         self._ended = AsyncMaskQuery(self.num_envs, self.device)
-        self._sensors_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
+        # Sensors other than contact sensors measure after a reset, and can change settings when they measure.
+        self._sensors_refresh = any(type(s).refresh is not ContactSensor.refresh for s in self.scene.sensors.values())
         # With recorders nothing is captured, because recorders wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None

@@ -8,17 +8,9 @@ from typing import Any
 import torch
 
 from wheelleg_exp.managers import Env
-from wheelleg_exp.state import Memory, Outside, Stateful
+from wheelleg_exp.state import Memory, Outside, Stateful, saved_values
 from wheelleg_exp.state.object_graph import PLAIN
-from wheelleg_exp.state.saved_values import (
-    NOTHING,
-    Reference,
-    Unsaveable,
-    checkpoint_value,
-    restored_value,
-    same,
-    snapshot,
-)
+from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
 # The environment itself or its caller changes the attributes in this list, so they are not state of terms.
@@ -34,25 +26,17 @@ class EnvAttributes:
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
         terms = [term for manager in managers.values() for term in getattr(manager, "bound_terms", [])]
         robot, owners = env.scene.robot, _owners(env, terms)
-        watched = {
-            "env": env,
-            "env.scene": env.scene,
-            "env.scene.terrain": env.scene.terrain,
-            "env.robot": robot,
-            "env.robot.data": robot.data,
-        }
+        watched: dict[str, Any] = {"env": env, "env.scene": env.scene, "env.scene.terrain": env.scene.terrain}
+        watched |= {"env.robot": robot, "env.robot.data": robot.data}
         watched |= {f"env.scene.sensors.{name}": sensor for name, sensor in env.scene.sensors.items()}
         watched |= {f"env.{name}": manager for name, manager in managers.items() if name != "scene"}
         env.scene.require_compiled_model()
         self._env = env
         parts = owners | {k: v for k, v in watched.items() if k.startswith(("env.scene.sensors.", "env.scene.terrain"))}
-        self._outside = Outside(
-            {term.path: term.func for term in terms} | {key: type(value) for key, value in parts.items()},
-            {k: v for k, v in watched.items() if k != "env"}
-            | {"env.scene.sim": env.scene.sim, "env.streams": env.streams}
-            | {term.path: term for term in terms},
-            cfg,
-        )
+        code = {term.path: term.func for term in terms} | {key: type(value) for key, value in parts.items()}
+        owned = {k: v for k, v in watched.items() if k != "env"} | {term.path: term for term in terms}
+        owned |= {"env.scene.sim": env.scene.sim, "env.streams": env.streams}
+        self._outside = Outside(code, owned, cfg)
         self._memory = Memory(owners, lambda: _tensors(watched) | {"the state": env.scene.sim.state})
         self._names = {*vars(env), "_attributes"}
         self._plain = {name: item for name, item in vars(env).items() if _is_plain(name, item)}
@@ -67,12 +51,14 @@ class EnvAttributes:
         self._memory.require_apart()
         found = {}
         for name, item in vars(self._env).items():
-            if name in self._names and not (_is_plain(name, item) and not same(item, self._plain.get(name, NOTHING))):
+            if name in self._names and not (
+                _is_plain(name, item) and not saved_values.same(item, self._plain.get(name, NOTHING))
+            ):
                 continue
             try:
                 seen = snapshot(item, name)
-                if not isinstance(seen, Reference):
-                    found[name] = checkpoint_value(seen, NOTHING, name)
+                if not isinstance(seen, saved_values.Reference):
+                    found[name] = saved_values.checkpoint_value(seen, NOTHING, name)
             except (Unsaveable, RecursionError) as error:
                 raise refusal(self._env, error, "env") from error
         return found
@@ -82,7 +68,7 @@ class EnvAttributes:
         for name in vars(self._env).keys() - self._names - saved.keys():
             delattr(self._env, name)
         for name, item in {**self._plain, **saved}.items():
-            setattr(self._env, name, restored_value(item, vars(self._env).get(name)))
+            setattr(self._env, name, saved_values.restored_value(item, vars(self._env).get(name)))
 
 
 def _is_plain(name: str, item: Any) -> bool:
@@ -101,9 +87,5 @@ def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
 
 
 def _tensors(watched: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    return {
-        f"{owner}.{name}": item
-        for owner, value in watched.items()
-        for name, item in vars(value).items()
-        if isinstance(item, torch.Tensor)
-    }
+    items = ((f"{owner}.{name}", item) for owner, value in watched.items() for name, item in vars(value).items())
+    return {name: item for name, item in items if isinstance(item, torch.Tensor)}

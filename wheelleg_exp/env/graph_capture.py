@@ -31,18 +31,8 @@ from typing import Any, Protocol, TypeVar, cast
 
 import torch
 
-from wheelleg_exp.env.captured_values import (
-    Key,
-    TouchedMemory,
-    Values,
-    copy_tensors,
-    fits,
-    form_of,
-    frozen,
-    has_other_entries,
-    is_changed,
-    write_back,
-)
+from wheelleg_exp.env import captured_values
+from wheelleg_exp.env.captured_values import Key, Values, form_of, is_changed
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.state import cloned
 from wheelleg_exp.state.object_graph import Slot, is_plain
@@ -168,16 +158,13 @@ class GraphCapture:
     def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
         """Run a part, or replay a recording of the part."""
         env = self._env
-        if method.__name__ not in self.parts:
-            self.parts[method.__name__] = CapturedPart(
-                functools.partial(method, env),
-                self.values,
-                self._make_graph,
-                reset_caches=env.scene.robot.data.invalidate,
-                streams=env.streams.all,
-                is_reset=any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args),
-            )
-        part = self.parts[method.__name__]
+        name = method.__name__
+        if name not in self.parts:
+            work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
+            resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
+            options: dict[str, Any] = {"reset_caches": caches, "streams": streams, "is_reset": resets}
+            self.parts[name] = CapturedPart(work, self.values, self._make_graph, **options)
+        part = self.parts[name]
         found = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
             env.scene.robot.mark_written(args[0])
@@ -231,10 +218,14 @@ class Recording:
         except (LookupError, TypeError):
             return [slot for slot, _ in self.buffers if not isinstance(slot.get(), torch.Tensor)]
         if moved:
-            wrong = {id(static) for (_, _, static), now in moved if not fits(now, static) or id(static) in self.shared}
+            wrong = {
+                id(static)
+                for (_, _, static), now in moved
+                if not captured_values.fits(now, static) or id(static) in self.shared
+            }
             if wrong:
                 return [slot for slot, static in self.buffers if id(static) in wrong]
-            copy_tensors([(static, now) for (_, _, static), now in moved])
+            captured_values.copy_tensors([(static, now) for (_, _, static), now in moved])
             for (container, key, static), _ in moved:
                 container[key] = static
         for static, now in zip(self.inputs, args, strict=True):
@@ -312,7 +303,9 @@ class CapturedPart:
                 return self._run(args)
             if self._generation == self._values.generation:
                 # If the recording found a new flag, the key lacks this flag, and the recording cannot be stored.
-                self._store(key, recording)
+                if len(self.recordings) >= self._room:
+                    del self.recordings[self._rarest()]
+                self.recordings[key] = recording
         elif unfit := recording.load(args):
             self._drop(key, unfit)
             return self._run(args)
@@ -345,11 +338,6 @@ class CapturedPart:
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
-
-    def _store(self, key: Key, recording: Recording) -> None:
-        if len(self.recordings) >= self._room:
-            del self.recordings[self._rarest()]
-        self.recordings[key] = recording
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
         """Drop a recording whose memory cannot take the present tensors.
@@ -428,12 +416,18 @@ class CapturedPart:
         dictionaries = [(slot, dict(value)) for slot, value in before if isinstance(value, dict)]
         with torch.inference_mode(False):
             inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
-        touched, outputs = TouchedMemory(), list[Any]()
+        touched, outputs = captured_values.TouchedMemory(), list[Any]()
 
         def work() -> None:
             with touched:
-                outputs.append(self._packed(self._work(*inputs)))
-                write_back(tensors)
+                result = self._work(*inputs)
+                if self.is_reset:
+                    # Store the log of a reset as names and one tensor, because the log is copied at every replay.
+                    if not all(isinstance(value, torch.Tensor) for value in result.values()):
+                        raise RuntimeError("the log of a reset contains a value that is not a tensor")
+                    result = list(result), torch.stack([value.reshape(()) for value in result.values()])
+                outputs.append(result)
+                captured_values.write_back(tensors)
 
         try:
             graph.record(work)
@@ -446,15 +440,9 @@ class CapturedPart:
             raise
         assigned = [(slot, slot.get()) for slot, value in (*tensors, *others) if slot.get() is not value]
         values.add_flags([slot for slot, value in (*tensors, *others) if is_changed(value, slot.get())])
-        filled = [(slot, dict(slot.get())) for slot, was in dictionaries if has_other_entries(slot.get(), was)]
+        filled = [
+            (slot, dict(slot.get())) for slot, was in dictionaries if captured_values.has_other_entries(slot.get(), was)
+        ]
         touched.note((outputs, inputs, [v for _, v in assigned], [c for _, c in filled]))
         buffers = [(slot, value) for slot, value in tensors if touched.has(value)]
-        return Recording(graph, inputs, buffers, assigned, filled, frozen(outputs[0]))
-
-    def _packed(self, result: Any) -> Any:
-        """Return the log of a reset as names and one tensor, because the log is copied at every replay."""
-        if not self.is_reset:
-            return result
-        if not all(isinstance(value, torch.Tensor) for value in result.values()):
-            raise RuntimeError("the log of a reset contains a value that is not a tensor")
-        return list(result), torch.stack([value.reshape(()) for value in result.values()])
+        return Recording(graph, inputs, buffers, assigned, filled, captured_values.frozen(outputs[0]))

@@ -57,19 +57,12 @@ class Cfg(Mapping[str, Any]):
         elsewhere = _OTHER_PATHS.get(f"{path}.{name}".removeprefix("env."))
         if elsewhere is not None:
             return self._root[elsewhere]
-        raise NoSuchKey(
-            "the environment's config does not contain this key",
-            key=f"{path}.{name}",
-            expected="one of " + ", ".join(section),
-            nearest=nearest_name(name, section),
-        )
+        message, expected = "the environment's config does not contain this key", "one of " + ", ".join(section)
+        raise NoSuchKey(message, key=f"{path}.{name}", expected=expected, nearest=nearest_name(name, section))
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise NoSuchKey(
-            "the environment's config does not change",
-            key=f"{self._path}.{name}",
-            expected="a change of the term: env.reward_manager.get_term_cfg(name).weight, ... .params",
-        )
+        expected = "a change of the term: env.reward_manager.get_term_cfg(name).weight, ... .params"
+        raise NoSuchKey("the environment's config does not change", key=f"{self._path}.{name}", expected=expected)
 
     def __repr__(self) -> str:
         return f"Cfg({self._section!r})"

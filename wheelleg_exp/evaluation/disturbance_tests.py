@@ -140,11 +140,20 @@ def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -
         yield World("com", value, changed)
     for value in options.gains:
         gains = {f"{name}_distribution_params": [value, value] for name in ("stiffness", "damping")}
-        on = {"joint_names": [".*"]}
-        changed = _with_event(cfg, "randomize_actuator_gains", on, operation="scale", **gains)
+        changed = _with_event(cfg, "randomize_actuator_gains", {"joint_names": [".*"]}, operation="scale", **gains)
         yield World("gains", value, changed)
     for value in options.noise:
-        yield World("noise", value, _noisy(cfg, value, options.noise_std))
+        changed = copy.deepcopy(dict(cfg))
+        for group in changed["observations"].values():
+            corrupts, group["enable_corruption"] = bool(group.get("enable_corruption", False)), True
+            for node in group["terms"].values():
+                name = str(node["_target_"]).rpartition(".")[2]
+                if name in options.noise_std:
+                    std = value * options.noise_std[name]
+                    node["noise"] = {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise", "mean": 0.0, "std": std}
+                elif not corrupts:
+                    node["noise"] = None
+        yield World("noise", value, changed)
     for value in options.delay_s:
         yield World("delay", value, copy.deepcopy(dict(cfg)), round(value / step_dt))
 
@@ -154,21 +163,6 @@ def _with_event(cfg: Mapping[str, Any], function: str, on: Mapping[str, Any], **
     asset = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **on}
     node = {"_target_": f"wheelleg_exp.mdp.events.{function}", "mode": "startup", "asset_cfg": asset, **parameters}
     changed["events"] = {**changed["events"], f"evaluation_{function}": node}
-    return changed
-
-
-def _noisy(cfg: Mapping[str, Any], factor: float, deviations: Mapping[str, float]) -> dict[str, Any]:
-    changed = copy.deepcopy(dict(cfg))
-    for group in changed["observations"].values():
-        corrupts = bool(group.get("enable_corruption", False))
-        group["enable_corruption"] = True
-        for node in group["terms"].values():
-            name = str(node["_target_"]).rpartition(".")[2]
-            if name in deviations:
-                std = factor * deviations[name]
-                node["noise"] = {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise", "mean": 0.0, "std": std}
-            elif not corrupts:
-                node["noise"] = None
     return changed
 
 

@@ -7,7 +7,7 @@ found by geometry, never by name.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ import mujoco
 import numpy as np
 import torch
 
-from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Wheel
 from wheelleg_exp.anatomy.compiled_robot import at_default
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -26,6 +25,7 @@ from wheelleg_exp.managers import Env
 
 CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
+_CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "track_air_time": False}
 _DISTURBING = ("interval", "step")
 _MOST_CONTACTS = 8  # A wheel on rough ground has at most this number.
 
@@ -42,12 +42,9 @@ def evaluation_cfg(
     cfg = copy.deepcopy(dict(env_cfg))
     commands = cfg["commands"]
     if protocol.command not in commands:
-        raise ConfigError(
-            f"the task has no command '{protocol.command}'",
-            key="protocol.command",
-            expected="one of " + (", ".join(commands) or "(there are none)"),
-            nearest=nearest_name(protocol.command, commands),
-        )
+        expected = "one of " + (", ".join(commands) or "(there are none)")
+        message, nearest = f"the task has no command '{protocol.command}'", nearest_name(protocol.command, commands)
+        raise ConfigError(message, key="protocol.command", expected=expected, nearest=nearest)
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
     events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
     cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
@@ -59,14 +56,15 @@ def evaluation_cfg(
         cfg["scene"]["terrain"] = flat(cfg["scene"]["terrain"])
     sensors = cfg["scene"].get("sensors") or {}
     if contact_sensor(sensors) is None:
-        sensors = {**sensors, CONTACTS: _contacts(protocol)}
+        contacts = {**_CONTACTS, "force_threshold": protocol.contact_force, "max_contacts": _MOST_CONTACTS}
+        sensors = {**sensors, CONTACTS: contacts}
     cfg["scene"]["sensors"] = sensors
     return cfg
 
 
 def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
     """Return the name of a contact sensor that covers every body, or None."""
-    wanted = {"_target_": _SENSOR, "body_names": [".*"]}
+    wanted = {name: _CONTACTS[name] for name in ("_target_", "body_names")}
     nodes = {name: node for name, node in sensors.items() if isinstance(node, Mapping)}
     return next((name for name, node in nodes.items() if all(node.get(k) == v for k, v in wanted.items())), None)
 
@@ -77,25 +75,13 @@ def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
     return {"_target_": "wheelleg_exp.sim.terrain.Plane", **friction}
 
 
-def _contacts(protocol: Protocol) -> dict[str, Any]:
-    return {
-        "_target_": _SENSOR,
-        "body_names": [".*"],
-        "history_length": 1,
-        "track_air_time": False,
-        "force_threshold": protocol.contact_force,
-        "max_contacts": _MOST_CONTACTS,
-    }
-
-
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
     """Build the environment. An episode that has ended is not reset. ConfigError if the robot's base is fixed."""
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
-        raise ConfigError(
-            "only robots with a floating base can be evaluated", key="env.robot.base", expected="floating"
-        )
+        message = "only robots with a floating base can be evaluated"
+        raise ConfigError(message, key="env.robot.base", expected="floating")
     return env
 
 
@@ -150,12 +136,8 @@ def parts_of(env: Env) -> RobotParts:
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]
     anatomy = anatomy_of(model, at_default(model, robot).qpos, driven)
     wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.joint in names]
-    rolling = {wheel.joint for wheel in anatomy.wheels}
-    pairs = [
-        pair
-        for pair in anatomy.mirrored
-        if pair.left != pair.right and pair.left in driven and pair.right in driven and pair.left not in rolling
-    ]
+    legs = {*driven} - {wheel.joint for wheel in anatomy.wheels}
+    pairs = [p for p in anatomy.mirrored if p.left != p.right and p.left in legs and p.right in driven]
     contacts = contact_sensor(env.cfg["scene"]["sensors"])
     assert contacts is not None  # evaluation_cfg added one
     bodies = env.scene[contacts].body_names
@@ -163,27 +145,22 @@ def parts_of(env: Env) -> RobotParts:
     def indices(found: list[int]) -> torch.Tensor:
         return torch.tensor(found, dtype=torch.long, device=device)
 
+    offsets = None
+    if anatomy.forward is not None:
+        left = np.cross(anatomy.up, anatomy.forward)
+        offsets = torch.tensor([float(left @ np.array(wheel.contact)) for wheel in wheels], device=device)
+    groups = {name: indices([names.index(j) for j in drive.joint_names]) for name, drive in robot.actuators.items()}
     return RobotParts(
         joint_names=tuple(names),
         wheels=indices([names.index(wheel.joint) for wheel in wheels]),
         contacts=contacts,
         wheel_bodies=indices([bodies.index(wheel.body) for wheel in wheels]),
-        wheel_offsets=_offsets(anatomy, wheels, device),
+        wheel_offsets=offsets,
         left=indices([names.index(pair.left) for pair in pairs]),
         right=indices([names.index(pair.right) for pair in pairs]),
         sign=torch.tensor([float(pair.sign) for pair in pairs], device=device),
-        groups={
-            name: indices([names.index(joint) for joint in actuator.joint_names])
-            for name, actuator in robot.actuators.items()
-        },
+        groups=groups,
         effort_limit=robot.data.joint_effort_limits.clone(),
         mass=float(model.body_mass[robot.body_ids.tolist()].sum()),
         gravity=float(sum(g * g for g in model.opt.gravity) ** 0.5),
     )
-
-
-def _offsets(anatomy: Anatomy, wheels: Sequence[Wheel], device: torch.device) -> torch.Tensor | None:
-    if anatomy.forward is None:
-        return None
-    left = np.cross(anatomy.up, anatomy.forward)
-    return torch.tensor([float(left @ np.array(wheel.contact)) for wheel in wheels], device=device)

@@ -97,11 +97,8 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     anatomy = anatomy_of(model, data.qpos, driven)
     wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.sign]
     if not wheels or len(wheels) < len(anatomy.standing) or not anatomy.one_axle or anatomy.forward is None:
-        raise ConfigError(
-            "the reference controller can only balance a robot on one axle of driven wheels",
-            key="env.robot",
-            expected="no reference for this robot: evaluate the policy alone",
-        )
+        message = "the reference controller can only balance a robot on one axle of driven wheels"
+        raise ConfigError(message, key="env.robot", expected="no reference for this robot: evaluate the policy alone")
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
     forward, up = (base @ np.array(axis) for axis in (anatomy.forward, anatomy.up))
     left = np.cross(up, forward)
@@ -129,8 +126,7 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
     """Return the inertia of bodies about an axis through a point, or through each body's own centre, kg·m²."""
     total = 0.0
     for body in bodies:
-        frame = data.ximat[body].reshape(3, 3)
-        along = frame.T @ axis
+        along = data.ximat[body].reshape(3, 3).T @ axis
         total += float(along @ (model.body_inertia[body] * along))
         if point is not None:
             arm = data.xipos[body] - point
@@ -182,13 +178,8 @@ class Reference:
 
     def describe(self) -> dict[str, Any]:
         """Return the model and the gains for JSON."""
-        return {
-            "pendulum": asdict(self.pendulum),
-            "pole_per_s": self.pendulum.pole,
-            "gains": self.gains.tolist(),
-            "integrator_per_s": self.pendulum.pole,
-            "bandwidth_per_s": self.bandwidth,
-        }
+        model = {"pendulum": asdict(self.pendulum), "pole_per_s": self.pendulum.pole, "gains": self.gains.tolist()}
+        return {**model, "integrator_per_s": self.pendulum.pole, "bandwidth_per_s": self.bandwidth}
 
     def __call__(self, observations: Mapping[str, Any] | None = None) -> torch.Tensor:
         """Return raw actions (N, A). The observations are not used."""
@@ -248,17 +239,12 @@ def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]
     for name in manager.active_terms:
         term = manager.get_term(name)
         if not isinstance(term, (JointPositionAction, JointVelocityAction, JointEffortAction)):
-            raise ConfigError(
-                "the reference controller cannot compute this action from a joint target",
-                key=f"env.actions.{name}",
-                expected="actions that scale and offset: positions, velocities, efforts",
-            )
+            message = "the reference controller cannot compute this action from a joint target"
+            expected = "actions that scale and offset: positions, velocities, efforts"
+            raise ConfigError(message, key=f"env.actions.{name}", expected=expected)
         found.append((term, torch.tensor([names.index(joint) for joint in term.joint_names], device=env.device)))
     driven = {joint for term, _ in found if isinstance(term, JointVelocityAction) for joint in term.joint_names}
     if not set(wheels) <= driven:
-        raise ConfigError(
-            "the reference controller sets wheel speeds, but no action of the task does",
-            key="env.actions",
-            expected="a velocity action of " + ", ".join(wheels),
-        )
+        message = "the reference controller sets wheel speeds, but no action of the task does"
+        raise ConfigError(message, key="env.actions", expected="a velocity action of " + ", ".join(wheels))
     return found

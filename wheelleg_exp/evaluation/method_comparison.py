@@ -206,8 +206,7 @@ def wilcoxon(first: Array, second: Array) -> Test:
 def fisher(first: Array, second: Array) -> Test:
     """Return Fisher's exact test of outcomes, 1 or 0, of two policies on different scenarios."""
     table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
-    share = float(second.mean() - first.mean())
-    p = float(stats.fisher_exact(table).pvalue)
+    share, p = float(second.mean() - first.mean()), float(stats.fisher_exact(table).pvalue)
     return Test("Fisher", p, min(len(first), len(second)), None, share, share)
 
 
@@ -269,10 +268,8 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
     """Raise RunDirectoryError unless all evaluations have the same scenarios."""
     digests = list(dict.fromkeys(evaluation.scenarios_sha256 for evaluation in evaluations))
     if len(digests) > 1:
-        raise RunDirectoryError(
-            "evaluations of different scenarios cannot be compared: " + ", ".join(d[:12] for d in digests),
-            expected="the same protocol, numbers, and seed for all evaluations",
-        )
+        message = "evaluations of different scenarios cannot be compared: " + ", ".join(d[:12] for d in digests)
+        raise RunDirectoryError(message, expected="the same protocol, numbers, and seed for all evaluations")
 
 
 def plain(value: Any) -> Any:
@@ -344,14 +341,12 @@ def verdict(found: Sequence[Difference], first: str, second: str, trainings: Seq
     """Return a summary of the differences between two methods in words."""
     tested = [row for row in found if row.better and math.isfinite(row.interval.value)]
     better, worse = ([row.metric for row in tested if row.outcome == word] for word in ("better", "worse"))
-    if not better and not worse:
-        text = f"No difference between {first} and {second} is significant in any of {len(tested)} metrics."
-    elif not worse:
-        text = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in none."
-    elif not better:
+    text = f"No difference between {first} and {second} is significant in any of {len(tested)} metrics."
+    if better:
+        also = _listed(worse) if worse else "none"
+        text = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in {also}."
+    elif worse:
         text = f"{first} is worse than {second} in {_listed(worse, len(tested))}, and better in none."
-    else:
-        text = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in {_listed(worse)}."
     if min(trainings, default=0) == 1:
         text += " A single training per method compares policies, not methods: another seed can give another result."
     return text

@@ -218,10 +218,11 @@ def percentiles(drawn: Array) -> tuple[float, float]:
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
     """Return the metrics of a test whose columns exist. The composed protocol has the bands and pass limits."""
+    options = protocol.get(test) or {}
     if test == "walk":
-        found = _of_walking(columns, float((protocol.get("walk") or {}).get("band", 0.1)))
+        found = _of_walking(columns, float(options.get("band", 0.1)))
     elif test == "terrain":
-        found = _of_terrain(columns, float((protocol.get("terrain") or {}).get("pass_share", 0.9)))
+        found = _of_terrain(columns, float(options.get("pass_share", 0.9)))
     else:
         found = _WITHOUT_OPTIONS[test](columns)
     return [metric for metric in found if set(metric.columns) <= set(columns)]

@@ -87,10 +87,9 @@ class Motion:
 
     def leg_asymmetry(self) -> torch.Tensor | None:
         """Return the RMS difference between left leg joints and mirrored right leg joints, rad, (N,)."""
-        if not len(self.parts.left):
-            return None
-        joints = self.made.joint_pos
-        return self.rms(joints[..., self.parts.left] * self.parts.sign - joints[..., self.parts.right])
+        parts, joints = self.parts, self.made.joint_pos
+        left = len(parts.left)
+        return self.rms(joints[..., parts.left] * parts.sign - joints[..., parts.right]) if left else None
 
     def action_change(self, order: int) -> torch.Tensor:
         """Return the mean size of the derivative of this order of the action's components, 1/s^order, (N,)."""
@@ -161,8 +160,7 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
         columns[f"error_{name}"] = own
         columns[f"error_{name}_with_falls"] = torch.where(made.fell, torch.fmax(own, command.abs()), own)
         columns[f"velocity_{name}"] = mean(velocity, steady)
-        earned = torch.where(settled, (-(error**2) / std**2).exp(), 0.0).sum(dim=0)
-        columns[f"score_{name}"] = earned / steps
+        columns[f"score_{name}"] = torch.where(settled, (-(error**2) / std**2).exp(), 0.0).sum(dim=0) / steps
         columns[f"still_{name}"] = (-(command**2) / std**2).exp()
     return columns
 
@@ -227,7 +225,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
-    lived = ~made.fell
+    lived, yaw = ~made.fell, made.unwrapped_yaw()
     columns: Columns = {}
     for name, velocity, column in (("vx", made.vel[..., 0], 0), ("wz", made.ang[..., 2], 2)):
         command = asked[:, column].double()
@@ -245,19 +243,13 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        beyond = largest(_beyond(made, name, windows[2], command), windows[2])
+        # The way of each robot beyond its place at the stop command, (T, N), m or rad, is positive along -c.
+        heading = at(yaw, windows[2])
+        way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
+        driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()
+        beyond = largest((yaw - heading if name == "wz" else driven) * -command.sign(), windows[2])
         columns[f"stop_distance_{name}"] = kept(beyond, mine & drove)
     return columns
-
-
-def _beyond(made: Trajectories, name: str, window: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
-    """Return how far each robot moved beyond its place at the stop command, along -c, (T, N), m or rad."""
-    yaw = made.unwrapped_yaw()
-    if name == "wz":
-        return (yaw - at(yaw, window)) * -command.sign()
-    heading = at(yaw, window)
-    way = made.pos[..., :2] - at(made.pos[..., :2], window)
-    return (way[..., 0] * heading.cos() + way[..., 1] * heading.sin()) * -command.sign()
 
 
 def group_effort(motion: Motion) -> Columns:

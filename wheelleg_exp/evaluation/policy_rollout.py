@@ -28,11 +28,8 @@ class HeldCommand:
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
         if not isinstance(term, UniformVelocityCommand):
-            raise ConfigError(
-                f"'{name}' is not a velocity command",
-                key=f"env.commands.{name}",
-                expected="a wheelleg_exp.mdp.commands.UniformVelocityCommand, or a subclass",
-            )
+            expected = "a wheelleg_exp.mdp.commands.UniformVelocityCommand, or a subclass"
+            raise ConfigError(f"'{name}' is not a velocity command", key=f"env.commands.{name}", expected=expected)
         self._term = term
         self._held = torch.zeros(env.num_envs, 3, device=env.device)
         setattr(term, "draw", self._draw)  # noqa: B010

@@ -21,7 +21,7 @@ from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
 from wheelleg_exp.evaluation.policy_rollout import Tell as RolloutTell
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import Evaluation, Figure
-from wheelleg_exp.evaluation.scenarios import Scenarios, combined_digest
+from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import Trajectories
 from wheelleg_exp.terms.config_sections import read_section
 
@@ -84,15 +84,10 @@ def evaluate(
     for part in parts:
         for metric in metrics_of(part.test, part.columns, protocol):
             found[metric.name] = figure(metric, part.columns, seed, options.resamples)
-    return Evaluation(
-        protocol=dict(protocol),
-        seed=seed,
-        scenarios_sha256=combined_digest(tables, seed),
-        starts_sha256={part.test: part.starts for part in parts},
-        episodes=joined([part.columns for part in parts]),
-        metrics=found,
-        about=parts[0].about if parts else {},
-    )
+    starts, episodes = {part.test: part.starts for part in parts}, joined([part.columns for part in parts])
+    about_robot = parts[0].about if parts else {}
+    digest = hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
+    return Evaluation(dict(protocol), seed, digest, starts, episodes, found, about_robot)
 
 
 @dataclass(frozen=True)
@@ -132,18 +127,17 @@ def _run(subject: Subject, table: Scenarios) -> Part:
 
 def _placed(subject: Subject, table: Scenarios) -> Rollout:
     cfg, options = subject.cfg(table), subject.protocol
-    terrain = options.terrain if table.test == "terrain" else None
-    strip = options.strip if table.test == "strip" else None
-    if terrain is not None:
-        cfg["scene"]["terrain"] = terrain_tests.tiles(terrain, subject.seed)
-    if strip is not None:
-        cfg["scene"]["terrain"] = terrain_tests.strip_ground(strip, cfg["scene"]["terrain"], subject.seed)
-    rollout = subject.rollout(table, cfg)
-    if terrain is not None:
-        terrain_tests.place_on_tiles(rollout, terrain)
-    if strip is not None:
-        terrain_tests.place_before_strip(rollout, strip)
-    return rollout
+    if table.test == "terrain" and options.terrain is not None:
+        cfg["scene"]["terrain"] = terrain_tests.tiles(options.terrain, subject.seed)
+        rollout = subject.rollout(table, cfg)
+        terrain_tests.place_on_tiles(rollout, options.terrain)
+        return rollout
+    if table.test == "strip" and options.strip is not None:
+        cfg["scene"]["terrain"] = terrain_tests.strip_ground(options.strip, cfg["scene"]["terrain"], subject.seed)
+        rollout = subject.rollout(table, cfg)
+        terrain_tests.place_before_strip(rollout, options.strip)
+        return rollout
+    return subject.rollout(table, cfg)
 
 
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
@@ -156,8 +150,7 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     for number, world in enumerate(each):
         rollout = subject.rollout(table, world.cfg)
         policy = subject.make_policy(rollout.env)
-        delayed = DelayedPolicy(policy, world.delay_steps) if world.delay_steps else policy
-        made = rollout.roll(delayed, subject.seed)
+        made = rollout.roll(DelayedPolicy(policy, world.delay_steps) if world.delay_steps else policy, subject.seed)
         motion = Motion(made, rollout.parts, subject.protocol.settle_s, subject.target)
         columns = motion_columns.survival(made, []) | measured(motion, POSTURE)
         columns |= motion_columns.errors(made, subject.protocol.settle_s)
@@ -167,8 +160,7 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
         starts.append(rollout.starts)
         if tell is not None:
             tell(number + 1, len(each))
-    digest = hashlib.sha256("".join(starts).encode()).hexdigest()
-    return Part(table.test, digest, joined(found), about(rollout))
+    return Part(table.test, hashlib.sha256("".join(starts).encode()).hexdigest(), joined(found), about(rollout))
 
 
 def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
@@ -217,8 +209,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
     """Return the facts of every result: the robot's profile and drives, the time steps, and the engine."""
     env, parts = rollout.env, rollout.parts
     robot = env.cfg["robot"]
-    armature = env.scene.robot.data.joint_armature[0].tolist()
-    limits = parts.effort_limit[0].tolist()
+    armature, limits = env.scene.robot.data.joint_armature[0].tolist(), parts.effort_limit[0].tolist()
     names = parts.joint_names
     return {
         "profile": robot.get("profile"),

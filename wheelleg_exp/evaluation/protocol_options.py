@@ -18,22 +18,17 @@ def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
         yield Broken("lin_vel_x", "the step test has no speed", "a speed here or in ang_vel_z")
 
 
-def _lengths(protocol: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    for test in ("stand", "walk", "terrain", "strip", "robust"):
-        if protocol[test] is not None:
-            yield f"{test}.horizon_s", protocol[test]["horizon_s"]
-    if (steps := protocol["steps"]) is not None:
-        yield "steps.drive_s", steps["stand_s"] + 3 * steps["drive_s"]
-    if (push := protocol["push"]) is not None:
-        yield "push.after_s", push["at_s"] + push["after_s"]
-
-
 def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
-    lengths, settle = list(_lengths(protocol)), protocol["settle_s"]
+    tests, settle = ("stand", "walk", "terrain", "strip", "robust"), protocol["settle_s"]
+    lengths = {f"{test}.horizon_s": protocol[test]["horizon_s"] for test in tests if protocol[test] is not None}
+    if (steps := protocol["steps"]) is not None:
+        lengths["steps.drive_s"] = steps["stand_s"] + 3 * steps["drive_s"]
+    if (push := protocol["push"]) is not None:
+        lengths["push.after_s"] = push["at_s"] + push["after_s"]
     if not lengths:
-        tests = "stand, walk, steps, push, terrain, strip, robust"
-        yield Broken("", "the protocol has no test", f"one of {tests} that is not null")
-    for key, seconds in lengths:
+        expected = "one of stand, walk, steps, push, terrain, strip, robust that is not null"
+        yield Broken("", "the protocol has no test", expected)
+    for key, seconds in lengths.items():
         if seconds <= settle:
             message = f"an episode of {seconds:g} s ends before its steps count"
             yield Broken(key, message, f"episodes longer than protocol.settle_s, {settle:g} s")

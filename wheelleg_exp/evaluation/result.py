@@ -53,15 +53,10 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result without the episodes for JSON."""
-        return {
-            "format": FORMAT,
-            "protocol": dict(self.protocol),
-            "seed": self.seed,
-            "scenarios_sha256": self.scenarios_sha256,
-            "starts_sha256": dict(self.starts_sha256),
-            "about": dict(self.about),
-            "metrics": {name: figure.as_dict() for name, figure in self.metrics.items()},
-        }
+        head = {"format": FORMAT, "protocol": dict(self.protocol), "seed": self.seed}
+        digests = {"scenarios_sha256": self.scenarios_sha256, "starts_sha256": dict(self.starts_sha256)}
+        metrics = {name: figure.as_dict() for name, figure in self.metrics.items()}
+        return {**head, **digests, "about": dict(self.about), "metrics": metrics}
 
     def value(self, metric: str) -> float:
         """Return the value of a metric; KeyError if the protocol does not have the metric."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 
@@ -52,11 +51,6 @@ class Scenarios:
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
 
 
-def combined_digest(tables: Sequence[Scenarios], seed: int) -> str:
-    """Return one sha256 of several tables in order."""
-    return hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
-
-
 def standing(options: Stand) -> Scenarios:
     """Return episodes with a zero command."""
     return Scenarios("stand", float(options.horizon_s), (0.0,), ((ZERO,),), ("stand",), options.episodes)
@@ -83,11 +77,8 @@ def stepping(options: Steps) -> Scenarios:
 
 def pushing(options: Push) -> Scenarios:
     """Return standing episodes with pushes, by direction and duration."""
-    names = tuple(
-        f"{360.0 * turn / options.directions:g}° over {pulse:g} s"
-        for pulse in options.pulses_s
-        for turn in range(options.directions)
-    )
+    turns = [f"{360.0 * turn / options.directions:g}°" for turn in range(options.directions)]
+    names = tuple(f"{turn} over {pulse:g} s" for pulse in options.pulses_s for turn in turns)
     horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
     return Scenarios("push", horizon, (0.0,), ((ZERO,),) * len(names), names, options.episodes, settings)
 
@@ -97,8 +88,10 @@ def on_terrain(options: Terrain) -> Scenarios:
     kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
     names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
-    settings = json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True)
-    cells = ((command,),) * len(names)
+    settings, cells = (
+        json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True),
+        ((command,),) * len(names),
+    )
     return Scenarios("terrain", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
 
 
@@ -106,8 +99,7 @@ def over_strips(options: Strip) -> Scenarios:
     """Return episodes that drive straight over a strip of rough ground, by strip."""
     names = tuple(f"{1000.0 * amplitude:g}mm" for amplitude in options.amplitudes)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
-    settings = json.dumps(asdict(options), sort_keys=True)
-    cells = ((command,),) * len(names)
+    settings, cells = json.dumps(asdict(options), sort_keys=True), ((command,),) * len(names)
     return Scenarios("strip", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
 
 

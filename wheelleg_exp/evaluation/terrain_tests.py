@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -63,20 +62,19 @@ def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
     ``distance_share``, else 0. ``kind`` and ``level`` identify the tile.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
+    tile = {"kind": (cell // options.levels).double(), "level": (cell % options.levels).double()}
+    return tile | _success(made, options)
+
+
+def _success(made: Trajectories, options: Terrain | Strip) -> Columns:
     ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
-    return {
-        "kind": (cell // options.levels).double(),
-        "level": (cell % options.levels).double(),
-        "distance_ratio": ratio,
-        "success": (~made.fell & (ratio >= options.distance_share)).double(),
-    }
+    return {"distance_ratio": ratio, "success": (~made.fell & (ratio >= options.distance_share)).double()}
 
 
 def along_heading(made: Trajectories) -> torch.Tensor:
     """Return the distance of each robot along its first heading, m, (N,), at its last step before a failure."""
     last = (made.alive.sum(dim=0) - 1).clamp(min=0)
-    there = made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2]
-    way = (there - made.pos[0, :, :2]).double()
+    way = (made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2] - made.pos[0, :, :2]).double()
     heading = made.yaw[0].double()
     return way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
 
@@ -122,8 +120,7 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
     terrain.env_origins.copy_(begin)
 
 
-@dataclass(frozen=True)
-class Phases:
+class Phases(NamedTuple):
     """The steps (T, N) bool of each episode before, on, and behind the strip.
 
     A robot that rolls back over an edge stays in its phase. ``before`` has the last ``quiet_s`` seconds before the
@@ -157,18 +154,13 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     survived, else 0.
     """
     found = phases(made, options, settle_s)
-    ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
-    columns: Columns = {"distance_ratio": ratio, "success": (~made.fell & (ratio >= options.distance_share)).double()}
+    columns = _success(made, options)
     pitch = made.pitch.double()
     swing = pitch - mean(pitch, found.before)
     error = made.vel[..., 0] - made.command[..., 0]
-    for name, counted in (("before", found.before), ("on", found.on), ("behind", found.behind)):
+    for name, counted in found._asdict().items():
         columns[f"error_vx_{name}"] = rms(error, counted)
         columns[f"swing_rad_{name}"] = rms(swing, counted)
-    return columns | _recovery(made, swing, found, options)
-
-
-def _recovery(made: Trajectories, swing: torch.Tensor, found: Phases, options: Strip) -> Columns:
     limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
     window = max(1, round(options.recovered_s / made.dt))
     # Differences of cumulative sums give the mean square over every coming window at once.
@@ -179,4 +171,4 @@ def _recovery(made: Trajectories, swing: torch.Tensor, found: Phases, options: S
     time = last_exit(coming > limit, known, made.dt)
     long_enough = found.behind.sum(dim=0) >= round((options.within_s + options.recovered_s) / made.dt)
     time = torch.where(made.fell | limit.isnan() | ~long_enough, torch.nan, time)
-    return {"recovery_s": time, "recovered": (time <= options.within_s).double()}
+    return columns | {"recovery_s": time, "recovered": (time <= options.within_s).double()}

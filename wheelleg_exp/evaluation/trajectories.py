@@ -94,6 +94,9 @@ class EffortMeter(SensorBase):
     def reset(self, env_ids: torch.Tensor) -> None:
         """Do nothing, because the sums restart with each control step."""
 
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        """Do nothing, because only physics steps do work."""
+
 
 @dataclass
 class Trajectories:
@@ -251,8 +254,7 @@ def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tenso
 
 def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
     """Return (T, N, ...) at the last step before the counted steps, (N, ...)."""
-    first = (counted.int().argmax(dim=0) - 1).clamp(min=0)
-    return values[first, torch.arange(values.shape[1], device=values.device)]
+    return values[(counted.int().argmax(dim=0) - 1).clamp(min=0), torch.arange(values.shape[1], device=values.device)]
 
 
 def last_exit(outside: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:

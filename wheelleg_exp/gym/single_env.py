@@ -11,16 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wheelleg_exp.gym.task_env import (
-    RENDER_MODES,
-    Arrays,
-    Pictures,
-    action_space,
-    as_arrays,
-    log_of,
-    observation_space,
-    task_env,
-)
+from wheelleg_exp.gym import task_env
+from wheelleg_exp.gym.task_env import RENDER_MODES, Arrays, action_space, as_arrays, observation_space
 
 
 class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
@@ -49,13 +41,13 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         width: int = 480,
         height: int = 480,
     ) -> None:
-        self.env = task_env(task, 1, overrides, config_dirs)
+        self.env = task_env.task_env(task, 1, overrides, config_dirs)
         self.env.autoreset = "disabled"
         self.observation_space: gymnasium.Space[Arrays] = observation_space(self.env)  # type: ignore[assignment]
         self.action_space = action_space(self.env, action_bound)
         self.render_mode = render_mode
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / self.env.step_dt)}
-        self._pictures = Pictures(self.env, render_mode, width, height)
+        self._pictures = task_env.Pictures(self.env, render_mode, width, height)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
         """Start an episode; a seed restarts all random streams.
@@ -65,7 +57,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         super().reset(seed=seed, options=options)
         has_run = bool(self.env.episode_length_buf[0])
         observations, extras = self.env.reset(seed=seed)
-        return _first(as_arrays(observations)), {"log": log_of(extras)} if has_run else {}
+        return _first(as_arrays(observations)), {"log": task_env.log_of(extras)} if has_run else {}
 
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
         """Advance by one control step, for a raw action (A,).

@@ -29,10 +29,9 @@ def task_env(
 ) -> ManagerBasedRLEnv:
     """Compose, check and build a task."""
     given = override_texts(overrides)
-    for word in given:
-        if word.lstrip("+").startswith("env.num_envs="):
-            message = "Gymnasium sets the number of environments"
-            raise ConfigError(message, key="env.num_envs", expected="make_vec(..., num_envs=N)")
+    if any(word.lstrip("+").startswith("env.num_envs=") for word in given):
+        message = "Gymnasium sets the number of environments"
+        raise ConfigError(message, key="env.num_envs", expected="make_vec(..., num_envs=N)")
     words = [f"task={task}", *given, f"env.num_envs={num_envs}"]
     folders = [config_dirs] if isinstance(config_dirs, (str, Path)) else config_dirs
     composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in folders]))
@@ -48,9 +47,8 @@ def task_env(
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
     """Return the space of one environment's observations: unbounded float32 vectors by group."""
     shapes: dict[str, Any] = env.observation_manager.group_obs_dim
-    return gymnasium.spaces.Dict(
-        {group: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for group, shape in shapes.items()}
-    )
+    boxes = {g: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for g, shape in shapes.items()}
+    return gymnasium.spaces.Dict(boxes)
 
 
 def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) -> gymnasium.spaces.Box:

@@ -14,23 +14,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.gym.task_env import (
-    RENDER_MODES,
-    Arrays,
-    Pictures,
-    action_space,
-    as_arrays,
-    log_of,
-    observation_space,
-    task_env,
-)
+from wheelleg_exp.gym import task_env
+from wheelleg_exp.gym.task_env import RENDER_MODES, Arrays, action_space, as_arrays, observation_space
 from wheelleg_exp.state.tensor_trees import host_copy
 
-_MODES = {
-    "same_step": AutoresetMode.SAME_STEP,
-    "next_step": AutoresetMode.NEXT_STEP,
-    "disabled": AutoresetMode.DISABLED,
-}
+_MODES = {name: AutoresetMode[name.upper()] for name in ("same_step", "next_step", "disabled")}
 
 
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
@@ -69,7 +57,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
     ) -> None:
         self.autoreset_mode = _autoreset(autoreset_mode)  # TorchRL reads this attribute
-        self.env = task_env(task, num_envs, overrides, config_dirs)
+        self.env = task_env.task_env(task, num_envs, overrides, config_dirs)
         self.env.autoreset = self.autoreset_mode.name.lower()  # type: ignore[assignment]
         self.env.keep_final_obs = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.num_envs = num_envs
@@ -78,12 +66,9 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self.metadata = {
-            "render_modes": list(RENDER_MODES),
-            "render_fps": round(1 / self.env.step_dt),
-            "autoreset_mode": self.autoreset_mode,
-        }
-        self._pictures = Pictures(self.env, render_mode, width, height)
+        self.metadata = {"render_modes": list(RENDER_MODES), "autoreset_mode": self.autoreset_mode}
+        self.metadata["render_fps"] = round(1 / self.env.step_dt)
+        self._pictures = task_env.Pictures(self.env, render_mode, width, height)
         self._done = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
@@ -175,6 +160,6 @@ def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.boo
 
 def _log(extras: dict[str, Any], which: NDArray[np.bool_]) -> dict[str, Any]:
     log: dict[str, Any] = {}
-    for key, value in log_of(extras).items():
+    for key, value in task_env.log_of(extras).items():
         log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}
     return {"log": log, "_log": which.copy()}

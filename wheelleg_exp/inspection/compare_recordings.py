@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -75,32 +74,20 @@ def compare(first: Recording, second: Recording) -> RecordingComparison:
     """Compare two rerun recordings, but ignore texts, properties, and wall-clock times."""
     a, b = entity_digests(first.path), entity_digests(second.path)
     different = [entity for entity in a if entity in b and a[entity] != b[entity]]
-    numbers = dict(_number_differences(first, second, set(different)))
-
-    def first_step(found: NumberDifference) -> tuple[float, str]:
-        return (math.inf if found.parting.step is None else found.parting.step, found.name)
-
-    return RecordingComparison(
-        equal=[entity for entity in a if entity in b and a[entity] == b[entity]],
-        different=different,
-        only_first=[entity for entity in a if entity not in b],
-        only_second=[entity for entity in b if entity not in a],
-        numbers=sorted(numbers.values(), key=first_step),
-    )
-
-
-def _number_differences(
-    first: Recording, second: Recording, entities: set[str]
-) -> Iterator[tuple[tuple[str, str], NumberDifference]]:
+    numbers: dict[tuple[str, str], NumberDifference] = {}
     for env_id in sorted({*first.env_ids} & {*second.env_ids}):
         mine, theirs = first.all_numbers(env_id), second.all_numbers(env_id)
-        several = len(first.env_ids) > 1
         for name in mine.keys() & theirs.keys():
-            if mine[name].entity in entities:
-                shown = f"env_{env_id}.{name}" if several and mine[name].entity.startswith(f"env_{env_id}/") else name
+            entity = mine[name].entity
+            if entity in different:
+                of_env = len(first.env_ids) > 1 and entity.startswith(f"env_{env_id}/")
+                shown = f"env_{env_id}.{name}" if of_env else name
                 found = _difference(shown, (first, mine[name]), (second, theirs[name]))
                 if found is not None:
-                    yield (mine[name].entity, shown), found
+                    numbers[entity, shown] = found
+    ordered = sorted(numbers.values(), key=lambda n: (math.inf if n.parting.step is None else n.parting.step, n.name))
+    equal = [entity for entity in a if entity in b and a[entity] == b[entity]]
+    return RecordingComparison(equal, different, [e for e in a if e not in b], [e for e in b if e not in a], ordered)
 
 
 def _difference(
@@ -116,20 +103,13 @@ def _difference(
     parting = Parting(None, None, None, None)
     if unlike.any():
         row = int(np.argmax(unlike))
-        place = int(at_a[row])
-        table = first[0].numbers(first[1].entity)
+        place, table = int(at_a[row]), first[0].numbers(first[1].entity)
         time_s = table.column(SIM_TIME)[place].as_py() if SIM_TIME in table.column_names else None
         parting = Parting(int(steps_a[place]), time_s, float(both_a[row]), float(both_b[row]))
     sizes = np.abs(both_a - both_b)[unlike]
     finite = sizes[np.isfinite(sizes)]
-    return NumberDifference(
-        name=name,
-        parting=parting,
-        largest=float(finite.max()) if len(finite) else None,
-        rows=(len(a), len(b)),
-        first=statistics(a),
-        second=statistics(b),
-    )
+    largest = float(finite.max()) if len(finite) else None
+    return NumberDifference(name, parting, largest, (len(a), len(b)), statistics(a), statistics(b))
 
 
 def _series(recording: Recording, number: Number) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

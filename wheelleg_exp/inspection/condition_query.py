@@ -27,7 +27,8 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 LONGEST = 2000
 DEEPEST = 60
 _SHOWN = 120  # Error messages truncate longer conditions.
-_COMPARE: dict[type, Callable[[Any, Any], Any]] = {
+_Operators = dict[type, Callable[[Any, Any], Any]]
+_COMPARE: _Operators = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
     ast.Gt: operator.gt,
@@ -35,7 +36,7 @@ _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
 }
-_ARITHMETIC: dict[type, Callable[[Any, Any], Any]] = {
+_ARITHMETIC: _Operators = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -186,31 +187,17 @@ def find_hits(
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)
     reach = None if around is None else around.steps(recording.step_dt)
-    return [hit for frames in everything for hit in _hits(frames, condition, chosen, reach, columns)]
-
-
-def _hits(
-    frames: Frames, condition: Condition, selection: Selection, reach: int | None, columns: Sequence[str]
-) -> list[Hit]:
-    holds = condition.holds({name: frames.column(name) for name in condition.names})
-    steps = frames.column(STEP)
-    holds &= np.isin(steps, np.asarray(selection.apply(frames.table).column(STEP)))
-    times = [name for name in frames.table.column_names if name not in frames.names]
-    shown = Frames(frames.table.select([*times, *dict.fromkeys(columns or condition.names)]), frames.env_id)
-    return [
-        Hit(
-            first=frames.moment(a),
-            last=frames.moment(b),
-            frames=b - a + 1,
-            around=None if reach is None else shown.filter((steps >= steps[a] - reach) & (steps <= steps[b] + reach)),
-        )
-        for a, b in _stretches(holds, steps)
-    ]
-
-
-def _stretches(holds: NDArray[np.bool_], steps: NDArray[np.int64]) -> list[tuple[int, int]]:
-    rows = np.flatnonzero(holds)
-    if not len(rows):
-        return []
-    breaks = np.flatnonzero((np.diff(rows) != 1) | (np.diff(steps[rows]) > 1)) + 1
-    return [(int(part[0]), int(part[-1])) for part in np.split(rows, breaks)]
+    hits = []
+    for frames in everything:
+        holds = condition.holds({name: frames.column(name) for name in condition.names})
+        steps = frames.column(STEP)
+        rows = np.flatnonzero(holds & np.isin(steps, np.asarray(chosen.apply(frames.table).column(STEP))))
+        times = [name for name in frames.table.column_names if name not in frames.names]
+        shown = Frames(frames.table.select([*times, *dict.fromkeys(columns or condition.names)]), frames.env_id)
+        breaks = np.flatnonzero((np.diff(rows) != 1) | (np.diff(steps[rows]) > 1)) + 1
+        for part in np.split(rows, breaks) if len(rows) else ():
+            a, b = int(part[0]), int(part[-1])
+            near = None if reach is None else (steps >= steps[a] - reach) & (steps <= steps[b] + reach)
+            around_hit = None if near is None else shown.filter(near)
+            hits.append(Hit(frames.moment(a), frames.moment(b), b - a + 1, around_hit))
+    return hits

@@ -112,34 +112,28 @@ class _Marks:
         # Recordings of format 1 do not count the control steps of an episode.
         age = frames if self._own is None else int(self._own.column("episode.step")[last])
         names = [name for name, fired in zip(self._ends.names, self._fired[last], strict=True) if fired]
+        if self._own is not None:
+            failed, over = (self._own.column(name)[last] > 0 for name in ("terminated", "truncated"))
+        else:
+            failed, over = int(self._steps[last]) in self._failed_steps, bool(names)
+        first_step, last_step, reward = int(self._steps[first]), int(self._steps[last]), None
+        if self._rewards is not None and TOTAL in self._rewards.names:
+            steps = self._rewards.column(STEP)
+            rows = (steps >= first_step) & (steps <= last_step)
+            reward = float(np.nansum(self._rewards.column(TOTAL)[rows]) * self._step_dt)
         return Episode(
             env_id=self._env_id,
             iteration=self._ends.moment(first).iteration,
             last_iteration=self._ends.moment(last).iteration,
-            first_step=int(self._steps[first]),
-            last_step=int(self._steps[last]),
+            first_step=first_step,
+            last_step=last_step,
             frames=frames,
             duration_s=age * self._step_dt,
             is_from_start=age == frames,
-            outcome=self._outcome(last),
+            outcome=FAILED if failed else TIMED_OUT if over else UNFINISHED,
             ended_by=tuple(names),
-            total_reward=self._reward(int(self._steps[first]), int(self._steps[last])),
+            total_reward=reward,
         )
-
-    def _outcome(self, row: int) -> str:
-        if self._own is not None:
-            failed, over = (self._own.column(name)[row] > 0 for name in ("terminated", "truncated"))
-        else:
-            failed = int(self._steps[row]) in self._failed_steps
-            over = bool(self._fired[row].any()) and not failed
-        return FAILED if failed else TIMED_OUT if over else UNFINISHED
-
-    def _reward(self, first: int, last: int) -> float | None:
-        if self._rewards is None or TOTAL not in self._rewards.names:
-            return None
-        steps = self._rewards.column(STEP)
-        rows = (steps >= first) & (steps <= last)
-        return float(np.nansum(self._rewards.column(TOTAL)[rows]) * self._step_dt)
 
 
 @dataclass(frozen=True)
@@ -208,10 +202,9 @@ def tracking_errors(view: View) -> list[TrackingError]:
         command, _, part = name.rpartition(".")
         if command and part in view.names("base"):
             words = (f"commands.{name}", f"base.{part}")
-            both = []
-            for env_id in view.env_ids:
-                if set(words) <= view.recording.all_numbers(env_id).keys():
-                    both += frames_for(view.recording, words, replace(view.selection, env_id=env_id))
+            having = [i for i in view.env_ids if set(words) <= view.recording.all_numbers(i).keys()]
+            by_env = [frames_for(view.recording, words, replace(view.selection, env_id=i)) for i in having]
+            both = [frames for found_frames in by_env for frames in found_frames]
             asked, actual = (np.concatenate([frames.column(word) for frames in both]) for word in words)
             error = actual - asked
             known = error[np.isfinite(error)]
@@ -233,29 +226,30 @@ def force_extremes(view: View) -> list[ForceExtreme]:
     names = view.names("contacts")
     found = []
     for sensor, body in _bodies(view):
-        name = f"{sensor}.{body}"
-        norms = view.column("contacts", name)
+        norms = view.column("contacts", f"{sensor}.{body}")
         peaks = view.column("contacts", f"{sensor}.peak.{body}") if f"{sensor}.peak.{body}" in names else norms
         if len(norms):
-            row = int(np.nanargmax(np.nan_to_num(peaks, nan=-1.0)))
-            at = view.moment("contacts", row)
-            known = norms[np.isfinite(norms)]
+            row, known = int(np.nanargmax(np.nan_to_num(peaks, nan=-1.0))), norms[np.isfinite(norms)]
             mean, share = (float(known.mean()), float(np.mean(known > 0.0))) if len(known) else (0.0, 0.0)
+            at = view.moment("contacts", row)
             found.append(ForceExtreme(sensor, body, float(peaks[row]), at, mean, share))
     return found
 
 
 def effort_use(view: View) -> list[EffortUse]:
     """Return for each joint how much of its effort limit the joint used."""
-    joints = [name.removesuffix(".effort") for name in view.names("joints") if name.endswith(".effort")]
     found = []
-    for joint in joints:
-        size = np.abs(view.column("joints", f"{joint}.effort"))
+    for name in (name for name in view.names("joints") if name.endswith(".effort")):
+        size = np.abs(view.column("joints", name))
         size = size[np.isfinite(size)]
         if len(size):
-            limit = _limit(view, joint)
+            entity = view.recording.all_numbers(view.env_ids[0])[f"joints.{name}"].entity
+            recorded = view.recording.static(entity.rpartition("/")[0]).get("effort_limit")
+            limit = as_number(recorded[0]) if recorded else None
+            limit = limit if limit is not None and np.isfinite(limit) else None
             share = None if limit is None else float(np.mean(size >= limit * _AT_LIMIT))
-            found.append(EffortUse(joint, limit, float(np.sqrt(np.mean(size**2))), float(size.max()), share))
+            rms, joint = float(np.sqrt(np.mean(size**2))), name.removesuffix(".effort")
+            found.append(EffortUse(joint, limit, rms, float(size.max()), share))
     return found
 
 
@@ -267,15 +261,10 @@ def reward_shares(view: View) -> list[RewardShare]:
     sizes = {name: float(np.nansum(np.abs(values))) for name, values in rows.items()}
     everything = sum(sizes.values())
     step_dt = view.recording.step_dt or 0.0
+    shares = {name: size / everything if everything else None for name, size in sizes.items()}
     return [
-        RewardShare(
-            term=name,
-            weight=as_number(weights.get(name)),
-            mean=_mean(values),
-            total=float(np.nansum(values)) * step_dt,
-            share=sizes[name] / everything if everything else None,
-        )
-        for name, values in rows.items()
+        RewardShare(name, as_number(weights.get(name)), _mean(v), float(np.nansum(v)) * step_dt, shares[name])
+        for name, v in rows.items()
     ]
 
 
@@ -287,13 +276,6 @@ def _bodies(view: View) -> Iterator[tuple[str, str]]:
         above, _, sensor = entity.rpartition("/")
         if above == root and "scalars" in recording.columns(entity):
             yield from ((sensor, body) for body in recording.names(entity))
-
-
-def _limit(view: View, joint: str) -> float | None:
-    entity = view.recording.all_numbers(view.env_ids[0])[f"joints.{joint}.effort"].entity
-    recorded = view.recording.static(entity.rpartition("/")[0]).get("effort_limit")
-    limit = as_number(recorded[0]) if recorded else None
-    return limit if limit is not None and np.isfinite(limit) else None
 
 
 def _mean(values: NDArray[np.float64]) -> float | None:

@@ -28,12 +28,11 @@ _DEGREES = 180.0 / math.pi
 
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
     """Return plot panels for each test of an evaluation. ``episodes`` are the columns of ``Evaluation.episodes``."""
-    found = {}
-    for test, draw in _TESTS.items():
-        mine = np.asarray(episodes["test"] == test)
-        if mine.any():
-            found[test] = draw({name: column[mine] for name, column in episodes.items()})
-    return {test: shown for test, shown in found.items() if shown}
+    masks = {test: np.asarray(episodes["test"] == test) for test in _TESTS}
+    rows = {
+        test: {name: column[mask] for name, column in episodes.items()} for test, mask in masks.items() if mask.any()
+    }
+    return {test: shown for test, mine in rows.items() if (shown := _TESTS[test](mine))}
 
 
 def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
@@ -52,14 +51,10 @@ def _of_standing(rows: Episodes) -> list[Panel]:
     end = np.where(rows["survived"] == 1.0, np.inf, rows["time_to_failure_s"])
 
     def alive(axes: Axes) -> None:
-        times = np.sort(end)
-        longest = float(rows["time_to_failure_s"].max())
-        fell = times[np.isfinite(times)]
-        x = np.concatenate(([0.0], np.repeat(fell, 2), [longest]))
-        share = 1.0 - np.arange(len(fell) + 1) / len(end)
-        axes.plot(x, np.repeat(share, 2), color=colour(0))
-        axes.set_ylim(-0.02, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        fell = np.sort(end[np.isfinite(end)])
+        x = np.concatenate(([0.0], np.repeat(fell, 2), [float(rows["time_to_failure_s"].max())]))
+        axes.plot(x, np.repeat(1.0 - np.arange(len(fell) + 1) / len(end), 2), color=colour(0))
+        _share_axis(axes, -0.02)
         axes.set_xlabel("time (s)")
 
     shown = [("drift_max_m", 1e3, "Largest drift (mm)"), ("pitch_rms_rad", _DEGREES, "Pitch, RMS (°)")]
@@ -73,11 +68,15 @@ def _spread(title: str, values: Array) -> Panel:
     def draw(axes: Axes) -> None:
         ordered = np.sort(values[np.isfinite(values)])
         axes.plot(ordered, (np.arange(len(ordered)) + 1) / len(ordered), color=colour(0), drawstyle="steps-post")
-        axes.set_ylim(0, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        _share_axis(axes, 0.0)
         axes.set_ylabel("of the episodes at most")
 
     return Panel(title, draw)
+
+
+def _share_axis(axes: Axes, low: float, high: float = 1.02) -> None:
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def _of_walking(rows: Episodes) -> list[Panel]:
@@ -129,8 +128,7 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
 
 def _rings(axes: Axes, largest: float) -> None:
     step = 10.0 ** math.floor(math.log10(largest))
-    step = step if largest / step > 2 else step / 2
-    turn = np.linspace(0.0, 2 * math.pi, 121)
+    step, turn = step if largest / step > 2 else step / 2, np.linspace(0.0, 2 * math.pi, 121)
     for radius in np.arange(step, largest + step, step):
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8, zorder=0)
         axes.annotate(f"{radius:.2g}", (0.0, radius), color=MUTED, fontsize=8, ha="center", va="bottom")
@@ -166,8 +164,7 @@ def _of_worlds(rows: Episodes) -> list[Panel]:
             if plain.any():
                 axes.axhline(float(np.mean(rows["survived"][plain])), color=MUTED, linewidth=1.0, linestyle=":")
             axes.plot(values, shares, color=colour(0), marker="o", ms=3.5)
-            axes.set_ylim(-0.04, 1.04)
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+            _share_axis(axes, -0.04, 1.04)
 
         return Panel(f"Survived, by {sweep.replace('_', ' ')}", draw, height=1.9)
 

@@ -55,13 +55,13 @@ def export(
     if kind not in KINDS:
         raise WheellegError(f"'{kind}' is not an export format", key="--export", expected=" or ".join(KINDS))
     require_new(output)
-    chosen = Selection() if selection is None else selection
+    chosen = selection or Selection()
     if terms:
         tables = []
         for frames in frames_for(recording, terms, chosen):
             entities = {term: find_number(recording, term, frames.env_id).entity for term in terms}
-            is_several = len(recording.env_ids) > 1 and frames.env_id is not None
-            tables.append(_described(frames.table, entities, recording, frames.env_id if is_several else None))
+            env_id = frames.env_id if len(recording.env_ids) > 1 else None
+            tables.append(_described(frames.table, entities, recording, env_id))
         table = pa.concat_tables(tables, promote_options="default")
         if not len(table) and not chosen.is_all:
             raise nothing_chosen(recording)
@@ -71,7 +71,15 @@ def export(
     of_groups = {group: table for group in groups if (table := _of_group(recording, group, chosen)).num_rows}
     if not of_groups:
         raise nothing_chosen(recording)
-    _write_folder(output, of_groups, kind)
+    with for_people(output), temporary_folder(output) as aside:
+        for group, table in of_groups.items():
+            with (aside / f"{_file_name(group)}.{kind}").open("xb") as file:
+                file.write(encoded(table, kind))
+        if kind == "csv":
+            by_group = {group: units(table) for group, table in of_groups.items()}
+            (aside / UNITS_NAME).write_text(json.dumps(by_group, indent=2, ensure_ascii=False) + "\n", "utf-8")
+        require_new(output)
+        aside.rename(output)
     return [_exported(output / f"{_file_name(group)}.{kind}", group, table) for group, table in of_groups.items()]
 
 
@@ -118,10 +126,8 @@ def _within(group: str, name: str) -> str:
 
 
 def _described(table: pa.Table, entities: Mapping[str, str], recording: Recording, env_id: int | None) -> pa.Table:
-    fields = []
-    for field in table.schema:
-        word = _TIME_UNITS.get(field.name) or unit(entities.get(field.name, ""))
-        fields.append(field.with_metadata({"unit": word} if word else None))
+    words = [_TIME_UNITS.get(name) or unit(entities.get(name, "")) for name in table.column_names]
+    fields = [f.with_metadata({"unit": w} if w else None) for f, w in zip(table.schema, words, strict=True)]
     columns = list(table.columns)
     if env_id is not None:
         place = sum(name in TIMES for name in table.column_names)
@@ -131,18 +137,6 @@ def _described(table: pa.Table, entities: Mapping[str, str], recording: Recordin
     own = recording.properties.get("wheelleg", {})
     about |= {key: own[key] for key in ("run_id", "task", "seed", "step_dt") if key in own}
     return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"wheelleg": json.dumps(about)}))
-
-
-def _write_folder(output: Path, tables: Mapping[str, pa.Table], kind: str) -> None:
-    with for_people(output), temporary_folder(output) as aside:
-        for group, table in tables.items():
-            with (aside / f"{_file_name(group)}.{kind}").open("xb") as file:
-                file.write(encoded(table, kind))
-        if kind == "csv":
-            by_group = {group: units(table) for group, table in tables.items()}
-            (aside / UNITS_NAME).write_text(json.dumps(by_group, indent=2, ensure_ascii=False) + "\n", "utf-8")
-        require_new(output)
-        aside.rename(output)
 
 
 def _exported(path: Path, group: str, table: pa.Table) -> Exported:

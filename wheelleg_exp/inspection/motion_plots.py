@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +16,7 @@ from wheelleg_exp.inspection.training_curves import shares
 from wheelleg_exp.recording.layout import unit
 
 _VELOCITIES = (("v_x", "Forward velocity", "m/s"), ("v_y", "Sideways velocity", "m/s"), ("w_z", "Yaw rate", "rad/s"))
+_ANGLES = ("pitch", "roll")
 TITLES = {
     "base/height": "Height of the base (m)",
     "base/pitch": "Pitch of the base (rad)",
@@ -31,11 +33,8 @@ def tracking(source: Source) -> list[Panel]:
     wanted = {name: source.maybe("commands", commands[0], name) if commands else None for name, _, _ in _VELOCITIES}
     panels = [_over_time(source, ("base", n), title, unit, wanted=wanted[n]) for n, title, unit in _VELOCITIES]
     height = _over_time(source, ("base", "height"), "Height of the base", "m", target=source.target_height())
-    angles = [
-        _over_time(source, ("base", name), title, "rad", target=0.0)
-        for name, title in (("pitch", "Pitch of the base"), ("roll", "Roll of the base"))
-    ]
-    return [panel for panel in (height, *panels, *angles) if panel is not None]
+    pitch, roll = (_over_time(source, ("base", n), f"{n.title()} of the base", "rad", target=0.0) for n in _ANGLES)
+    return [panel for panel in (height, *panels, pitch, roll) if panel is not None]
 
 
 def joints(source: Source) -> list[Panel]:
@@ -48,11 +47,10 @@ def joints(source: Source) -> list[Panel]:
         kind, unit = ("velocity", "rad/s") if is_driven(source, joint) else ("position", "rad")
         found = [source.maybe("joints", joint, part) for part in (kind, f"{kind}_target", "effort")]
         if all(series is not None for series in found):
-            entities = [source.path("joints", joint, part) for part in (kind, f"{kind}_target", "effort")]
-            draw = partial(_pair, source, entities[0], entities[1])
+            actual, target, effort = (source.path("joints", joint, part) for part in (kind, f"{kind}_target", "effort"))
+            draw = partial(_pair, source, actual, target)
             panels.append(Panel(f"{joint}: {kind} and target ({unit})", draw, height=_SHORT))
-            limit = source.drive(joint, "effort_limit")
-            draw = partial(_effort, source, entities[2], limit)
+            draw = partial(_effort, source, effort, source.drive(joint, "effort_limit"))
             panels.append(Panel(f"{joint}: effort (N·m)", draw, height=_SHORT))
     return panels
 
@@ -67,17 +65,21 @@ def contact_forces(source: Source) -> list[Panel]:
         series = source.maybe("contacts", sensor)
         if series is None:
             continue
-        shown, peak = _last(source, series), _peak(source, sensor, series)
+        shown, peak = _last(source, series), source.maybe("contacts", sensor, "peak")
+        # The largest forces within each control step are shown only if they have the rows of the forces.
+        if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
+            peak = None
+        else:
+            peak = _last(source, peak)
         most = shown.values if peak is None else np.fmax(shown.values, peak.values)
         touched = [i for i in range(len(series.names)) if np.nanmax(most[:, i], initial=0.0) > 0]
         top = float(np.nanmax(most, initial=0.0))
-        for i in touched:
-            draw = partial(_force, source, shown, peak, i, top)
-            panels.append(Panel(f"{series.names[i]}: contact force (N)", draw, height=_SHORT))
+        draws = {series.names[i]: partial(_force, source, shown, peak, i, top) for i in touched}
+        panels += [Panel(f"{name}: contact force (N)", draw, height=_SHORT) for name, draw in draws.items()]
         if len(touched) < len(series.names):
             never = ", ".join(name for i, name in enumerate(series.names) if i not in touched)
-            height = 0.45 + 0.15 * (len(never) // 110)
-            panels.append(Panel(f"Never touched ({sensor})", partial(_write, never), height=height, wide=True))
+            height, draw = 0.45 + 0.15 * (len(never) // 110), partial(_write, never)
+            panels.append(Panel(f"Never touched ({sensor})", draw, height=height, wide=True))
     return panels
 
 
@@ -195,14 +197,13 @@ def _draw_samples(axes: Axes, source: Source, series: Series, wanted: Series | N
     samples = source.shown_samples()
     for sample, shade in zip(samples, shades(len(samples)), strict=True):
         part = sample.of(series)
-        if not len(part.step):
-            continue
-        time, values = broken(part, source.ends())
-        label = f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
-        axes.plot(time - part.time[0], values, color=shade, label=label)
-        if wanted is not None:
-            commanded = sample.of(wanted)
-            axes.plot(commanded.time - part.time[0], commanded.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
+        if len(part.step):
+            (time, values), start = broken(part, source.ends()), part.time[0]
+            label = f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
+            axes.plot(time - start, values, color=shade, label=label)
+            if wanted is not None:
+                asked = sample.of(wanted)
+                axes.plot(asked.time - start, asked.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
 
 
 def _last(source: Source, series: Series) -> Series:
@@ -219,25 +220,18 @@ def _pair(source: Source, actual: str, target: str, axes: Axes) -> None:
 
 
 def _effort(source: Source, entity: str, limit: float | None, axes: Axes) -> None:
-    series = _last(source, source.series(entity))
-    axes.plot(*broken(series, source.ends()), color=BLUE, linewidth=1.0)
+    axes.plot(*broken(_last(source, source.series(entity)), source.ends()), color=BLUE, linewidth=1.0)
     over_time(axes)
     if limit is not None and np.isfinite(limit):
         axes.set_ylim(*_padded(-limit, limit, 0.12))
         for bound in (-limit, limit):
             axes.axhline(bound, color=FAILED, linewidth=1.0, linestyle=(0, (4, 2)))
-        axes.annotate(
-            f"limit ±{limit:g}", (1, limit), xycoords=("axes fraction", "data"), ha="right", va="top",
-            fontsize=8, color=FAILED, xytext=(0, -2), textcoords="offset points",
-        )  # fmt: skip
-
-
-def _peak(source: Source, sensor: str, series: Series) -> Series | None:
-    """Return the largest forces within each control step; None if these forces were not recorded."""
-    peak = source.maybe("contacts", sensor, "peak")
-    if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
-        return None
-    return _last(source, peak)
+        place: dict[str, Any] = {
+            "xycoords": ("axes fraction", "data"),
+            "xytext": (0, -2),
+            "textcoords": "offset points",
+        }
+        axes.annotate(f"limit ±{limit:g}", (1, limit), ha="right", va="top", fontsize=8, color=FAILED, **place)
 
 
 def _force(source: Source, series: Series, peak: Series | None, column: int, top: float, axes: Axes) -> None:
@@ -252,8 +246,7 @@ def _force(source: Source, series: Series, peak: Series | None, column: int, top
 
 
 def _line(source: Source, series: Series, axes: Axes) -> None:
-    shown = _last(source, series)
-    axes.plot(*broken(shown, source.ends()), color=BLUE, linewidth=1.2)
+    axes.plot(*broken(_last(source, series), source.ends()), color=BLUE, linewidth=1.2)
     axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
     over_time(axes)
 

@@ -71,7 +71,7 @@ class Source:
 
     def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
         self.recording = recording
-        self.selection = Selection() if selection is None else selection
+        self.selection = selection or Selection()
         env = self.selection.env_id if env is None else env
         self.env_id = recording.env_ids[0] if env is None else env
         self._entities = recording.entities()
@@ -136,14 +136,14 @@ class Source:
 
     def training(self) -> dict[str, tuple[Any, Any]]:
         """Return the iterations and values of every training scalar, by its key such as ``Loss/value``."""
+        head = f"{TRAINING}/"
         found: dict[str, tuple[Any, Any]] = {}
-        for entity in self._entities:
-            if entity.startswith(f"{TRAINING}/") and is_numeric(self.recording, entity):
-                series = self._series(entity)
-                if not series.values.size:
-                    continue
+        numeric = (e for e in self._entities if e.startswith(head) and is_numeric(self.recording, e))
+        for entity in numeric:
+            series = self._series(entity)
+            if series.values.size:
                 x = series.iteration if series.iteration is not None else series.step
-                found[_plain(entity.removeprefix(f"{TRAINING}/"))] = (x, series.first)
+                found[_plain(entity.removeprefix(head))] = (x, series.first)
         return found
 
     @property
@@ -157,11 +157,8 @@ class Source:
         if clock is None or not len(clock.step):
             return []
         cuts = [0, *(np.flatnonzero(np.diff(clock.step) > 1) + 1).tolist(), len(clock.step)]
-        iterations = clock.step * 0 if clock.iteration is None else clock.iteration
-        return [
-            Sample(int(clock.step[a]), int(clock.step[b - 1]), None if clock.iteration is None else int(iterations[a]))
-            for a, b in pairwise(cuts)
-        ]
+        iterations: list[int | None] = [None] * len(clock.step) if clock.iteration is None else clock.iteration.tolist()
+        return [Sample(int(clock.step[a]), int(clock.step[b - 1]), iterations[a]) for a, b in pairwise(cuts)]
 
     def shown_samples(self, count: int = 4) -> list[Sample]:
         """Return the first sample, the last sample, and evenly spaced samples between these two."""
@@ -193,8 +190,7 @@ class Source:
 
         The sum of all reward terms is excluded.
         """
-        names = [name for name in self.below("rewards") if name != "total"]
-        found = {name: self.maybe("rewards", name) for name in names}
+        found = {name: self.maybe("rewards", name) for name in self.below("rewards") if name != "total"}
         return {name: series for name, series in found.items() if series is not None}
 
     def target_height(self) -> float | None:
@@ -214,8 +210,7 @@ class Source:
 def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
     """Return times and values with NaN after each control step in ``ends``, so that plotted lines stop at resets."""
     # matplotlib interrupts a line at NaN.
-    cuts = np.flatnonzero(np.isin(series.step, ends)) + 1
-    cuts = np.union1d(cuts, np.flatnonzero(np.diff(series.step) > 1) + 1)
+    cuts = np.union1d(np.flatnonzero(np.isin(series.step, ends)), np.flatnonzero(np.diff(series.step) > 1)) + 1
     cuts = cuts[cuts < len(series.step)]
     time = np.insert(series.time, cuts, series.time[cuts] if len(cuts) else [])
     return time, np.insert(series.values[:, column], cuts, np.nan)
@@ -273,12 +268,10 @@ def _config(recording: Recording) -> dict[str, Any]:
     text = recording.document("config")
     if text is None or len(text) > _LONGEST_CONFIG:
         return {}
-    body = re.sub(r"\A```\w*\n|```\s*\Z", "", text.strip())
     try:
-        content = yaml_value(body)
+        return _mapping(yaml_value(re.sub(r"\A```\w*\n|```\s*\Z", "", text.strip())))
     except Unreadable:
         return {}
-    return _mapping(content)
 
 
 def _mapping(value: Any) -> dict[str, Any]:

@@ -125,9 +125,7 @@ def colour(index: int) -> str:
 
 def shades(count: int) -> list[Any]:
     """Return plot colours from pale (early) to dark (late) for items that are ordered in time."""
-    if count == 1:
-        return [BLUE]
-    return [PROGRESS(i / (count - 1)) for i in range(count)]
+    return [BLUE] if count == 1 else [PROGRESS(i / (count - 1)) for i in range(count)]
 
 
 def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float, float] | None = None) -> Figure:
@@ -154,8 +152,8 @@ def figure_svg(figure: Figure) -> str:
     """
     with _saved(figure):
         buffer = io.StringIO()
-        nothing: Mapping[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
-        FigureCanvasSVG(figure).print_svg(buffer, metadata=dict(nothing))
+        nothing: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        FigureCanvasSVG(figure).print_svg(buffer, metadata=nothing)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]  # The XML declaration of an SVG file is not valid inside an HTML page.
     text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
@@ -167,8 +165,7 @@ def figure_svg(figure: Figure) -> str:
 def figure_bytes(figure: Figure, kind: str) -> bytes:
     """Return a matplotlib figure as the bytes of a png, svg or pdf file, without a date."""
     if kind == "svg":
-        head = '<?xml version="1.0" encoding="utf-8" standalone="no"?>\n'
-        return (head + figure_svg(figure)).encode()
+        return f'<?xml version="1.0" encoding="utf-8" standalone="no"?>\n{figure_svg(figure)}'.encode()
     buffer = io.BytesIO()
     metadata: dict[str, Any] = {"CreationDate": None} if kind == "pdf" else {"Software": None}
     with _saved(figure):
@@ -184,10 +181,8 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
     heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
     width = PAGE_WIDTH if max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
     figure = Figure(figsize=size or (width, sum(heights)))
-    parts: list[Any] = [figure]
-    if len(sections) > 1:
-        grid: Any = figure.subfigures(len(sections), 1, height_ratios=heights)
-        parts = list(grid)
+    several = len(sections) > 1
+    parts: Any = figure.subfigures(len(sections), 1, height_ratios=heights) if several else [figure]
     for part, (title, _), section in zip(parts, sections, rows, strict=True):
         if title:
             part.suptitle(title, x=0.012, ha="left", fontsize=12, fontweight="bold", color=INK)
@@ -206,8 +201,7 @@ def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
 def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
     rows: list[list[Panel]] = []
     for panel in panels:
-        fits = rows and len(rows[-1]) < _COLUMNS and not panel.wide and not rows[-1][-1].wide
-        if fits:
+        if rows and len(rows[-1]) < _COLUMNS and not panel.wide and not rows[-1][-1].wide:
             rows[-1].append(panel)
         else:
             rows.append([panel])

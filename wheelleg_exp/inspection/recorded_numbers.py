@@ -66,28 +66,19 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
     finite = np.isfinite(values)
     kept = values[finite]
     nan = int(np.isnan(values).sum())
-    counts = {"count": len(values), "nan": nan, "infinite": len(values) - len(kept) - nan}
+    counts = (len(values), nan, len(values) - len(kept) - nan)
     first, last = (at(0), at(len(values) - 1)) if at and len(values) else (None, None)
     if not len(kept):
         nothing = dict.fromkeys(("mean", "std", "rms", "minimum", "maximum", "minimum_at", "maximum_at"))
-        return Statistics(**counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
+        return Statistics(*counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
     with np.errstate(over="ignore", invalid="ignore"):  # The squares of very large values overflow.
         mean, std, rms = float(kept.mean()), float(kept.std()), float(np.sqrt(np.mean(kept**2)))
-    return Statistics(
-        **counts,
-        mean=mean,
-        std=std,
-        rms=rms,
-        minimum=float(values[low]),
-        maximum=float(values[high]),
-        quantiles=dict(zip(QUANTILES, np.quantile(kept, QUANTILES).tolist(), strict=True)),
-        minimum_at=at(int(low)) if at else None,
-        maximum_at=at(int(high)) if at else None,
-        first_at=first,
-        last_at=last,
-    )
+    quantiles = dict(zip(QUANTILES, np.quantile(kept, QUANTILES).tolist(), strict=True))
+    low_at, high_at = (at(int(low)), at(int(high))) if at else (None, None)
+    extremes = (float(values[low]), float(values[high]))
+    return Statistics(*counts, mean, std, rms, *extremes, quantiles, low_at, high_at, first, last)
 
 
 TIMES = (STEP, SIM_TIME, ITERATION)
@@ -114,10 +105,9 @@ class Frames:
 
     def moment(self, row: int) -> Moment:
         """Return the simulated moment at which a row was recorded."""
-        step, time_s, iteration = (
-            self.table.column(name)[row].as_py() if name in self.table.column_names else None for name in TIMES
-        )
-        return Moment(step, time_s, iteration, self.env_id)
+        present = self.table.column_names
+        times = (self.table.column(name)[row].as_py() if name in present else None for name in TIMES)
+        return Moment(*times, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
         """Return the frames where ``mask`` is true."""
@@ -169,16 +159,12 @@ class View:
 
     def events(self, kind: str) -> list[Event]:
         """Return the recorded messages within the selected rows."""
-        found = [event for env_id in self.env_ids for event in self.recording.events(kind, env_id)]
-        return [
-            event for event in dict.fromkeys(found) if self.selection.has(event.step, event.time_s, event.iteration)
-        ]
+        found = dict.fromkeys(event for env_id in self.env_ids for event in self.recording.events(kind, env_id))
+        return [event for event in found if self.selection.has(event.step, event.time_s, event.iteration)]
 
     def _all(self, group: str) -> Iterator[Frames]:
-        for env_id in self.env_ids:
-            frames = self.frames(group, env_id)
-            if frames is not None:
-                yield frames
+        found = (self.frames(group, env_id) for env_id in self.env_ids)
+        return (frames for frames in found if frames is not None)
 
 
 _SHOWN = 12
@@ -193,10 +179,8 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
     word = name.replace("/", ".")
     ends = [number for number in numbers if number.endswith(f".{word}")]
     nearest = min(ends, key=len) if ends else nearest_name(word, list(numbers))
-    names = list(numbers)
-    top = name.replace("/", ".").split(".")[0]
-    below = [n for n in names if n.startswith(f"{top}.")]
-    shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in names)]
+    below = [n for n in numbers if n.startswith(f"{word.split('.')[0]}.")]
+    shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in numbers)]
     expected = "one of " + ", ".join(shown[:_SHOWN]) + (f", … ({len(shown)} in all)" if len(shown) > _SHOWN else "")
     raise WheellegError(f"no number '{name}' was recorded", key=key, expected=expected, nearest=nearest)
 
@@ -247,11 +231,10 @@ def _statistics(recording: Recording, name: str, selection: Selection) -> Statis
     parts = frames_for(recording, [name], selection)
     if not any(map(len, parts)) and not selection.is_all:
         raise nothing_chosen(recording)
-    values = np.concatenate([frames.column(name) for frames in parts])
     ends = np.cumsum([len(frames) for frames in parts])
 
     def at(row: int) -> Moment:
         part = int(np.searchsorted(ends, row, side="right"))
         return parts[part].moment(row - int(ends[part]) + len(parts[part]))
 
-    return statistics(values, at)
+    return statistics(np.concatenate([frames.column(name) for frames in parts]), at)

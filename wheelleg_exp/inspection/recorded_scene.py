@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, reduce
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,6 @@ _GREY = (0.6, 0.62, 0.65, 1.0)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-def shapes_in(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
-    """Yield the drawable shapes of one rerun entity; an entity can contain several shapes."""
-    found = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
-    return filter(_is_drawable, found)
-
-
 def _is_drawable(shape: Shape) -> bool:
     numbers = np.asarray([*shape.size, *shape.pos], dtype=np.float64)
     if shape.vertices is None or shape.faces is None:
@@ -49,53 +43,37 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         if "half_sizes" in statics:  # rerun's boxes and ellipsoids have equal components.
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
             yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
+            continue
+        radius, half = float(statics["radii"][i]), float(statics["lengths"][i]) / 2
+        if "centers" in statics:
+            yield Shape("cylinder", (radius, half), pos, quat, rgba)
         else:
-            yield _round(statics, i, pos, quat, rgba)
-
-
-def _round(
-    statics: Mapping[str, list[Any]], i: int, pos: tuple[float, ...], quat: tuple[float, ...], rgba: tuple[float, ...]
-) -> Shape:
-    radius, half = float(statics["radii"][i]), float(statics["lengths"][i]) / 2
-    if "centers" in statics:
-        return Shape("cylinder", (radius, half), pos, quat, rgba)
-    # The origin of a rerun capsule is the centre of one cap, but the origin of a drawn shape is the shape's centre.
-    centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
-    return Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
+            # The origin of a rerun capsule is the centre of one cap, but the origin of a drawn shape is its centre.
+            centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
+            yield Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
 
 
 def _meshes(statics: Mapping[str, list[Any]]) -> Iterator[Shape]:
     vertices = np.asarray(statics["vertex_positions"], dtype=np.float64)
     own = np.arange(len(vertices) - len(vertices) % 3)
     faces = np.asarray(statics.get("triangle_indices") or own, dtype=np.int64).reshape(-1, 3)
-    normals = statics.get("vertex_normals")
-    normals = normals if normals is not None and len(normals) == len(vertices) else None
+    given = statics.get("vertex_normals")
+    normals = np.asarray(given, dtype=np.float64) if given is not None and len(given) == len(vertices) else None
     shade = rgba_of((statics.get("albedo_factor") or [None])[0])
     for i in range(max(1, len(statics.get("translations") or []))):
-        yield Shape(
-            "mesh",
-            (),
-            tuple(_at(statics, ("translations",), i, (0.0, 0.0, 0.0))),
-            _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0))),
-            shade,
-            vertices,
-            faces,
-            None if normals is None else np.asarray(normals, dtype=np.float64),
-        )
+        pos = tuple(_at(statics, ("translations",), i, (0.0, 0.0, 0.0)))
+        quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
+        yield Shape("mesh", (), pos, quat, shade, vertices, faces, normals)
 
 
 def _at(statics: Mapping[str, list[Any]], names: Sequence[str], i: int, otherwise: Any) -> Any:
-    for name in names:
-        if values := statics.get(name):
-            return values[min(i, len(values) - 1)]
-    return otherwise
+    values = next(filter(None, map(statics.get, names)), None)
+    return values[min(i, len(values) - 1)] if values else otherwise
 
 
 def rgba_of(packed: Any) -> tuple[float, ...]:
     """Return the RGBA components, 0 to 1, of a colour 0xRRGGBBAA; grey for None."""
-    if packed is None:
-        return _GREY
-    return tuple(((int(packed) >> shift) & 255) / 255 for shift in (24, 16, 8, 0))
+    return _GREY if packed is None else tuple(((int(packed) >> shift) & 255) / 255 for shift in (24, 16, 8, 0))
 
 
 def _wxyz(xyzw: Any) -> tuple[float, ...]:
@@ -135,8 +113,7 @@ class Motion:
 
     def iteration_at(self, row: int) -> int | None:
         """Return the training iteration of a frame; None outside of training."""
-        known = self.iteration is not None and self.iteration[row] >= 0
-        return int(self.iteration[row]) if known and self.iteration is not None else None
+        return int(self.iteration[row]) if self.iteration is not None and self.iteration[row] >= 0 else None
 
 
 def scene_of(source: Source) -> Scene:
@@ -144,20 +121,14 @@ def scene_of(source: Source) -> Scene:
     moving = {STEP, "translation", "quaternion"}
     names = source.children(join(WORLD, source.branch) if source.branch else WORLD)
     entities = {name: entity for name in names if source.recording.has_rows(entity := source_body(source, name))}
-    bodies = {
-        name: list(_shapes_below(source, entity))
-        for name, entity in entities.items()
-        if moving <= source.recording.columns(entity)
-    }
+    entities = {name: entity for name, entity in entities.items() if moving <= source.recording.columns(entity)}
+    bodies = {name: list(_shapes_below(source, entity)) for name, entity in entities.items()}
     if not any(bodies.values()):
         reason = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
-        raise RunDirectoryError(
-            f"'{source.recording.path}' contains no moving robot{reason}",
-            expected="a recording of at least one whole step",
-        )
-    fixed = list(_shapes_below(source, f"{GROUND}/terrain"))
+        message = f"'{source.recording.path}' contains no moving robot{reason}"
+        raise RunDirectoryError(message, expected="a recording of at least one whole step")
     offset = source.recording.static(f"{GROUND}/terrain").get("translation") or [[0.0, 0.0, 0.0]]
-    terrain = [moved(shape, offset[0]) for shape in fixed]
+    terrain = [moved(shape, offset[0]) for shape in _shapes_below(source, f"{GROUND}/terrain")]
     return Scene(bodies, terrain, _ground(source), _root(source, list(bodies)), _size(source, bodies))
 
 
@@ -166,12 +137,16 @@ def motion_of(source: Source, scene: Scene) -> Motion:
 
     The function raises RunDirectoryError if the bodies have no common control step.
     """
-    tables = _at_common_steps([source.recording.table(source_body(source, name)) for name in scene.bodies])
+    tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
+    # A truncated recording can end with the rows of only some bodies.
+    steps = [np.asarray(table.column(STEP)) for table in tables]
+    if not all(np.array_equal(own, steps[0]) for own in steps):
+        common = reduce(np.intersect1d, steps)
+        tables = [table.take(np.searchsorted(own, common)) for table, own in zip(tables, steps, strict=True)]
     first = tables[0]
     if not len(first):
-        raise RunDirectoryError(
-            f"the bodies of '{source.recording.path}' have no common step", expected="a complete recording"
-        )
+        message = f"the bodies of '{source.recording.path}' have no common step"
+        raise RunDirectoryError(message, expected="a complete recording")
     step = np.asarray(first.column(STEP).combine_chunks())
     # rerun stores quaternions as xyzw; MuJoCo and this project use wxyz.
     pos = np.stack([_last_finite(_vectors(t, "translation", 3)) for t in tables], axis=1)
@@ -179,8 +154,7 @@ def motion_of(source: Source, scene: Scene) -> Motion:
     iteration = None
     if ITERATION in first.column_names:
         iteration = np.asarray(first.column(ITERATION).combine_chunks().cast(pa.int64()).fill_null(-1))
-    arrows = list(_arrows(source, step))
-    return Motion(step, seconds(first), iteration, pos, quat, arrows, _commands(source, step))
+    return Motion(step, seconds(first), iteration, pos, quat, _arrows(source, step), _commands(source, step))
 
 
 def source_body(source: Source, name: str) -> str:
@@ -191,15 +165,6 @@ def source_body(source: Source, name: str) -> str:
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
     """Return the frames of a motion that belong to a sample."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
-
-
-def _at_common_steps(tables: Sequence[pa.Table]) -> list[pa.Table]:
-    # A truncated recording can end with the rows of only some bodies.
-    steps = [np.asarray(table.column(STEP)) for table in tables]
-    if all(np.array_equal(own, steps[0]) for own in steps):
-        return list(tables)
-    common = reduce(np.intersect1d, steps)
-    return [table.take(np.searchsorted(own, common)) for table, own in zip(tables, steps, strict=True)]
 
 
 def _root(source: Source, names: list[str]) -> int:
@@ -236,12 +201,13 @@ def _shapes_below(source: Source, root: str) -> Iterator[Shape]:
     for entity in source.recording.entities():
         tail = entity.removeprefix(head)
         if entity.startswith(head) and "/" not in tail.replace("\\/", ""):
-            yield from shapes_in(source.recording.static(entity), source.recording.archetypes(entity))
+            statics, archetypes = source.recording.static(entity), source.recording.archetypes(entity)
+            shapes = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
+            yield from filter(_is_drawable, shapes)
 
 
 def _ground(source: Source) -> Ground | None:
-    statics = source.recording.static(GROUND)
-    vertices = np.asarray(statics.get("vertex_positions") or [], dtype=np.float64)
+    vertices = np.asarray(source.recording.static(GROUND).get("vertex_positions") or [], dtype=np.float64)
     table = source.recording.table(GROUND) if source.recording.has_rows(GROUND) else None
     if len(vertices) < 2 or table is None or "translation" not in table.column_names:
         return None
@@ -250,32 +216,24 @@ def _ground(source: Source) -> Ground | None:
     return Ground(height, tile) if abs(height) < FAR and 0.0 < tile < FAR else None
 
 
-def _arrows(source: Source, step: NDArray[np.int64]) -> Iterator[Arrows]:
+def _arrows(source: Source, step: NDArray[np.int64]) -> list[Arrows]:
     root = join(OVERLAY, source.branch) if source.branch else OVERLAY
-    for group in ("contacts", "velocity"):
-        for name in source.children(f"{root}/{group}"):
-            entity = f"{root}/{group}/{join(name)}"
-            if source.recording.has_rows(entity) and {STEP, "origins", "vectors"} <= source.recording.columns(entity):
-                yield _arrows_at(source, entity, _ARROWS.get(name, "contact force"), step)
-
-
-def _arrows_at(source: Source, entity: str, name: str, step: NDArray[np.int64]) -> Arrows:
-    table, statics = source.recording.table(entity), source.recording.static(entity)
-    rows = {int(s): i for i, s in enumerate(np.asarray(table.column(STEP)))}
-    origins, vectors = [], []
-    for starts, ends in zip(_ragged(table, "origins"), _ragged(table, "vectors"), strict=True):
-        count = min(len(starts), len(ends))
-        both = np.concatenate((starts[:count], ends[:count]), axis=1)
-        both = both[(np.abs(both) < FAR).all(axis=1)]
-        origins.append(both[:, :3])
-        vectors.append(both[:, 3:])
-    empty = np.empty((0, 3))
-
-    def of(values: list[Numbers]) -> list[Numbers]:
-        return [values[rows[int(s)]] if int(s) in rows else empty for s in step]
-
-    radius = float((statics.get("radii") or [0.002])[0])
-    return Arrows(name, rgba_of((statics.get("colors") or [None])[0]), radius, of(origins), of(vectors))
+    named = [(f"{root}/{g}/{join(n)}", n) for g in ("contacts", "velocity") for n in source.children(f"{root}/{g}")]
+    found = []
+    for entity, name in named:
+        if source.recording.has_rows(entity) and {STEP, "origins", "vectors"} <= source.recording.columns(entity):
+            table, statics = source.recording.table(entity), source.recording.static(entity)
+            by_step = {}
+            arrows = zip(_ragged(table, "origins"), _ragged(table, "vectors"), strict=True)
+            for own, (starts, ends) in zip(np.asarray(table.column(STEP)), arrows, strict=True):
+                count = min(len(starts), len(ends))
+                both = np.concatenate((starts[:count], ends[:count]), axis=1)
+                by_step[int(own)] = both[(np.abs(both) < FAR).all(axis=1)]
+            rows = [by_step.get(int(s), np.empty((0, 6))) for s in step]
+            rgba, radius = rgba_of((statics.get("colors") or [None])[0]), float((statics.get("radii") or [0.002])[0])
+            label = _ARROWS.get(name, "contact force")
+            found.append(Arrows(label, rgba, radius, [row[:, :3] for row in rows], [row[:, 3:] for row in rows]))
+    return found
 
 
 def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
@@ -305,8 +263,7 @@ def _last_finite(rows: Numbers) -> Numbers:
     if fine.all() or not fine.any():
         return np.where(np.abs(rows) < FAR, rows, 0.0)
     # Replace each row that is not finite by the preceding finite row, or else by the first finite row.
-    last = np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))
-    return rows[last]
+    return rows[np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))]
 
 
 _SMOOTH_S = 0.2
@@ -333,15 +290,11 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
     high = np.median([cloud.max(axis=0) for cloud in clouds], axis=0)
     centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
     distance = max(render_scene.camera_distance(cloud - centre, aspect) for cloud in clouds)
-    return Camera(distance, _smoothed(root, motion.time[rows], scene.size) + centre)
-
-
-def _smoothed(path: Array, time: Array, size: float) -> Array:
-    # The smoothing does not cross frames at which a reset moved the robot.
-    jumped = np.linalg.norm(np.diff(path, axis=0), axis=1) > size
-    cuts = np.flatnonzero(jumped) + 1
-    parts = np.split(np.arange(len(path)), cuts)
-    return np.concatenate([_gauss(path[part], time[part]) for part in parts if len(part)])
+    # The smoothing of the camera's path does not cross frames at which a reset moved the robot.
+    cuts = np.flatnonzero(np.linalg.norm(np.diff(root, axis=0), axis=1) > scene.size) + 1
+    parts, time = np.split(np.arange(len(root)), cuts), motion.time[rows]
+    path = np.concatenate([_gauss(root[part], time[part]) for part in parts if len(part)])
+    return Camera(distance, path + centre)
 
 
 def _gauss(path: Array, time: Array) -> Array:
@@ -386,7 +339,8 @@ def write_caption(
     layer = Image.new("RGBA", image.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
     size = max(11, round(min(image.height / 34, image.width / 46)))
-    font, pad, step = _font(size), round(0.55 * size), round(1.35 * size)
+    font = ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", size)
+    pad, step = round(0.55 * size), round(1.35 * size)
     height = image.height
     if texts:
         width = max(draw.textlength(text, font) for text in texts)
@@ -402,12 +356,6 @@ def write_caption(
         for i, (name, rgba) in enumerate(colours.items()):
             y = top + 0.6 * pad + i * step
             shade, middle = tuple(round(255 * part) for part in rgba[:3]), y + 0.62 * size
-            line = (left + pad, middle, left + pad + 1.1 * size, middle)
-            draw.line(line, (*shade, 255), max(2, round(size / 5)))
+            draw.line((left + pad, middle, left + pad + 1.1 * size, middle), (*shade, 255), max(2, round(size / 5)))
             draw.text((left + pad + 1.6 * size, y), name, _INK, font)
     return np.asarray(Image.alpha_composite(image, layer).convert("RGB"))
-
-
-@lru_cache
-def _font(size: int) -> ImageFont.FreeTypeFont:
-    return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", size)

@@ -114,8 +114,8 @@ def pictures(
         step = shown.motion.step[row]
         samples = (frames_of(shown.motion, s) for s in shown.samples if s.first <= step <= s.last)
         sample = next(samples, np.array([row]))
-        place = int(np.flatnonzero(sample == row)[0])
-        found.append((place, follow_robot(shown.scene, shown.motion, sample, width / height)))
+        camera = follow_robot(shown.scene, shown.motion, sample, width / height)
+        found.append((int(np.flatnonzero(sample == row)[0]), camera))
     distance = max((camera.distance for _, camera in found), default=0.0)
     drawn = []
     with drawing(Order(shown.scene, finer * width, finer * height, _SAMPLES)) as process:
@@ -132,19 +132,15 @@ def pictures(
 def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float) -> View:
     """Return the camera view of a recorded frame for MuJoCo's renderer."""
     motion, size = shown.motion, shown.scene.size
-    arrows = [
-        _arrow(kind.rgba, size, origin, vector)
-        for kind in motion.arrows
-        for origin, vector in zip(kind.origins[row], kind.vectors[row], strict=True)
-        if np.isfinite(vector).all() and np.linalg.norm(vector) > _SHORTEST * size
-    ]
+    arrows = []
+    for kind in motion.arrows:
+        for origin, vector in zip(kind.origins[row], kind.vectors[row], strict=True):
+            length = float(np.linalg.norm(vector))
+            if np.isfinite(vector).all() and length > _SHORTEST * size:
+                drawn = min(length, _LONGEST * size)
+                end = origin + vector * (drawn / length)
+                arrows.append(Arrow(kind.rgba, min(0.016 * size, 0.12 * drawn), origin, end))
     return View(motion.pos[row], motion.quat[row], arrows, lookat, distance, AZIMUTH, ELEVATION)
-
-
-def _arrow(rgba: tuple[float, ...], size: float, origin: NDArray[np.float64], vector: NDArray[np.float64]) -> Arrow:
-    length = float(np.linalg.norm(vector))
-    shown = min(length, _LONGEST * size)
-    return Arrow(rgba, min(0.016 * size, 0.12 * shown), origin, origin + vector * (shown / length))
 
 
 def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None, iteration: int | None = None) -> int:
@@ -177,9 +173,8 @@ def sample_at(shown: Scenery, iteration: int) -> Sample:
             if np.any(motion.iteration[frames_of(motion, sample)] == iteration):
                 return sample
     there = ", ".join(str(s.iteration) for s in shown.samples if s.iteration is not None) or "none"
-    raise WheellegError(
-        f"nothing was recorded at iteration {iteration}", expected=f"an iteration near a recorded sample: {there}"
-    )
+    expected = f"an iteration near a recorded sample: {there}"
+    raise WheellegError(f"nothing was recorded at iteration {iteration}", expected=expected)
 
 
 def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
@@ -195,9 +190,8 @@ def first_env(recording: Recording, at: str, iteration: int | None = None) -> in
     for env_id in recording.env_ids:
         source = Source(recording, env_id)
         entity = source.find(at)
-        steps = () if entity is None else _steps_of_term(source, entity, iteration).tolist()
-        if steps:
-            found[env_id] = steps[0]
+        if entity is not None and len(steps := _steps_of_term(source, entity, iteration)):
+            found[env_id] = int(steps[0])
     return min(found, key=lambda env_id: found[env_id], default=None)
 
 
@@ -228,11 +222,9 @@ def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
     entity = source.find(term)
     if entity is None:
         names = [f"terminations.{n}" for n in source.fired()] + [f"events.{n}" for n in source.below("events")]
-        raise WheellegError(
-            f"'{term}' is neither a time nor a recorded term",
-            expected="a time such as 1.5s or 90steps, or one of " + ", ".join(names),
-            nearest=nearest_name(term, names),
-        )
+        expected = "a time such as 1.5s or 90steps, or one of " + ", ".join(names)
+        message = f"'{term}' is neither a time nor a recorded term"
+        raise WheellegError(message, expected=expected, nearest=nearest_name(term, names))
     found = inside[np.isin(shown.motion.step[inside], _steps_of_term(source, entity))]
     if not len(found):
         raise WheellegError(f"'{term}' is zero at every recorded step", expected="a term that happened")
@@ -251,7 +243,6 @@ def _nearest(times: NDArray[np.float64], rows: NDArray[np.intp], moment: float) 
     own = times[rows]
     step = float(np.median(np.diff(own))) if len(own) > 1 else 1.0
     if not own[0] - 1.5 * step <= moment <= own[-1] + 1.5 * step:
-        raise WheellegError(
-            f"{moment:g} s is not in the recording", expected=f"a time from {own[0]:.2f} to {own[-1]:.2f} s"
-        )
+        expected = f"a time from {own[0]:.2f} to {own[-1]:.2f} s"
+        raise WheellegError(f"{moment:g} s is not in the recording", expected=expected)
     return int(rows[np.argmin(np.abs(own - moment))])

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -19,7 +19,7 @@ from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.inspection import motion_plots as plots_motion
 from wheelleg_exp.inspection import training_curves as plots_training
-from wheelleg_exp.inspection.plot_data import Series, Source, broken
+from wheelleg_exp.inspection.plot_data import Source, broken
 from wheelleg_exp.inspection.plot_style import Panel, colour, figure_bytes, page, tile
 from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.recording.layout import TRAINING
@@ -55,22 +55,19 @@ def _rewards(source: Source) -> list[Panel]:
     return plots_training.reward_course(source.training()) or plots_motion.rewards(source)
 
 
-PLOTS: dict[str, Plot] = {
-    plot.name: plot
-    for plot in (
-        Plot("learning_curves", "Learning curves", lambda s: plots_training.learning(s.training()), is_of_all=True),
-        Plot("reward_shares", "Reward by term", _rewards, is_of_all=True),
-        Plot(
-            "terminations",
-            "How episodes ended",
-            lambda source: plots_training.endings(source.training()) + plots_motion.terminations(source),
-            is_of_all=True,
-        ),
-        Plot("tracking", "Motion against what was asked for", plots_motion.tracking),
-        Plot("joints", "Joints", plots_motion.joints, is_of_last=True),
-        Plot("contact_forces", "Contact forces", plots_motion.contact_forces, is_of_last=True),
-    )
-}
+def _endings(source: Source) -> list[Panel]:
+    return plots_training.endings(source.training()) + plots_motion.terminations(source)
+
+
+_PLOTS = (
+    Plot("learning_curves", "Learning curves", lambda s: plots_training.learning(s.training()), is_of_all=True),
+    Plot("reward_shares", "Reward by term", _rewards, is_of_all=True),
+    Plot("terminations", "How episodes ended", _endings, is_of_all=True),
+    Plot("tracking", "Motion against what was asked for", plots_motion.tracking),
+    Plot("joints", "Joints", plots_motion.joints, is_of_last=True),
+    Plot("contact_forces", "Contact forces", plots_motion.contact_forces, is_of_last=True),
+)
+PLOTS: dict[str, Plot] = {plot.name: plot for plot in _PLOTS}
 
 PAGES: dict[bool, tuple[str, ...]] = {
     True: ("learning_curves", "reward_shares", "terminations", "tracking"),
@@ -98,9 +95,8 @@ def default_page(recording: Recording, *, selection: Selection | None = None) ->
     plots = [PLOTS[name] for name in PAGES[source.is_training]]
     sections = [(plot.heading(source), panels) for plot in plots if (panels := plot.panels(source))]
     if not sections:
-        raise RunDirectoryError(
-            f"'{recording.path}' has no data for the default plots", expected="--term with one of its terms"
-        )
+        message = f"'{recording.path}' has no data for the default plots"
+        raise RunDirectoryError(message, expected="--term with one of its terms")
     return page(sections)
 
 
@@ -172,30 +168,24 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
             return []
         next(iter(sources.values())).series(term)  # An unknown entity raises an error.
     series = {label: sources[label].series(entity) for label, entity in found.items()}
-    widest = max(series.values(), key=lambda s: s.values.shape[1])
-    return [_overlaid_panel(sources, series, i, term, widest, small) for i in range(widest.values.shape[1])]
-
-
-def _overlaid_panel(
-    sources: Mapping[str, Source], series: Mapping[str, Series], column: int, term: str, widest: Series, small: bool
-) -> Panel:
+    names = max(series.values(), key=lambda s: s.values.shape[1]).names
     word = term.removeprefix(f"{TRAINING}/")
     named = {key: curve_title(key) for key in plots_training.CURVES} | plots_motion.TITLES
     shown = named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))
-    many = widest.values.shape[1] > 1
     in_training = all(source.is_training for source in sources.values()) and term.replace(".", "/").startswith(TRAINING)
 
-    def draw(axes: Axes) -> None:
+    def draw(column: int, axes: Axes) -> None:
         for i, (label, one) in enumerate(series.items()):
+            style = _STYLES[i % len(_STYLES)]
             if column >= one.values.shape[1]:
                 continue
-            style = _STYLES[i % len(_STYLES)]
             if in_training and one.iteration is not None:
                 plots_training.draw_curve(axes, one.iteration, one.values[:, column], colour(i), label, style)
-                continue
-            time, values = broken(one, sources[label].ends(), column)
-            axes.plot(time, np.asarray(values), color=colour(i), linestyle=style, label=label)
+            else:
+                time, values = broken(one, sources[label].ends(), column)
+                axes.plot(time, values, color=colour(i), linestyle=style, label=label)
         (plots_training.over_iterations if in_training else plots_motion.over_time)(axes)
         axes.legend(loc="best")
 
-    return Panel(f"{shown}: {widest.names[column]}" if many else shown, draw, height=2.35 if small else 3.0)
+    titles = [f"{shown}: {name}" for name in names] if len(names) > 1 else [shown]
+    return [Panel(t, partial(draw, i), height=2.35 if small else 3.0) for i, t in enumerate(titles)]

@@ -8,29 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from wheelleg_exp.definitions import ending
-from wheelleg_exp.inspection.episode_measures import (
-    FAILED,
-    TIMED_OUT,
-    UNFINISHED,
-    EffortUse,
-    Episode,
-    ForceExtreme,
-    RewardShare,
-    TrackingError,
-    base_motion,
-    effort_use,
-    episodes,
-    force_extremes,
-    mean_duration,
-    mean_reward,
-    reward_shares,
-    survival,
-    tracking_errors,
-    whole,
-)
+from wheelleg_exp.inspection import episode_measures as measures
+from wheelleg_exp.inspection.episode_measures import Episode, episodes, mean_duration, mean_reward, survival, whole
 from wheelleg_exp.inspection.recorded_numbers import Statistics, View
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.recording.layout import BRANCH, ITERATION, TRAINING
@@ -83,10 +64,17 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
     found = []
     for entity in recording.entities():
         parts = [unescaped(part) for part in parts_of(entity)]
-        if parts[0] == TRAINING and {"scalars", ITERATION} <= recording.columns(entity):
-            trend = _trend("/".join(parts[1:]), selection.apply(recording.numbers(entity)))
-            if trend is not None:
-                found.append(trend)
+        if parts[0] != TRAINING or not {"scalars", ITERATION} <= recording.columns(entity):
+            continue
+        table = selection.apply(recording.numbers(entity))
+        values, iterations = np.asarray(table.columns[-1]), np.asarray(table.column(ITERATION))
+        values, iterations = values[np.isfinite(values)], iterations[np.isfinite(values)]
+        if len(values):
+            low, high = int(np.argmin(values)), int(np.argmax(values))
+            first, last, lowest, highest = (float(values[row]) for row in (0, -1, low, high))
+            last_at, lowest_at, highest_at = (int(iterations[row]) for row in (-1, low, high))
+            name, numbers = "/".join(parts[1:]), (first, last, last_at, lowest, highest, lowest_at, highest_at)
+            found.append(Trend(name, len(values), *numbers))
     return found
 
 
@@ -119,40 +107,11 @@ def _stretches(found: Sequence[Episode]) -> Iterator[list[Episode]]:
         yield stretch
 
 
-def _trend(name: str, table: pa.Table) -> Trend | None:
-    values, iterations = np.asarray(table.columns[-1]), np.asarray(table.column(ITERATION))
-    known = np.isfinite(values)
-    values, iterations = values[known], iterations[known]
-    if not len(values):
-        return None
-    low, high = int(np.argmin(values)), int(np.argmax(values))
-    return Trend(
-        name=name,
-        count=len(values),
-        first=float(values[0]),
-        last=float(values[-1]),
-        last_at=int(iterations[-1]),
-        lowest=float(values[low]),
-        highest=float(values[high]),
-        lowest_at=int(iterations[low]),
-        highest_at=int(iterations[high]),
-    )
-
-
 def _sample(found: list[Episode]) -> Sample:
     iterations = [i for e in found for i in (e.iteration, e.last_iteration) if i is not None]
-    count = len(whole(found))
-    return Sample(
-        iteration=min(iterations),
-        last_iteration=max(iterations),
-        first_step=min(episode.first_step for episode in found),
-        last_step=max(episode.last_step for episode in found),
-        episodes=count,
-        cut=len(found) - count,
-        survival=survival(found),
-        mean_duration_s=mean_duration(found),
-        mean_reward=mean_reward(found),
-    )
+    first_step, last_step = min(e.first_step for e in found), max(e.last_step for e in found)
+    counts, means = (len(whole(found)), len(found) - len(whole(found))), (mean_duration(found), mean_reward(found))
+    return Sample(min(iterations), max(iterations), first_step, last_step, *counts, survival(found), *means)
 
 
 @dataclass(frozen=True)
@@ -219,11 +178,11 @@ class Summary:
     frames: tuple[int, int] | None
     figures: EpisodeFigures
     episodes: list[Episode]
-    tracking: list[TrackingError]
+    tracking: list[measures.TrackingError]
     base: dict[str, Statistics]
-    forces: list[ForceExtreme]
-    efforts: list[EffortUse]
-    rewards: list[RewardShare]
+    forces: list[measures.ForceExtreme]
+    efforts: list[measures.EffortUse]
+    rewards: list[measures.RewardShare]
     events: dict[str, int]
     training: list[Trend]
     samples: list[Sample]
@@ -254,7 +213,6 @@ def _summary(chosen: View) -> Summary:
         begin, end = Length(float(first), True), Length(float(last), True)
         view = View(recording, replace(chosen.selection, begin=begin, end=end))
         shown = [episode for episode in found if first <= episode.first_step and episode.last_step <= last]
-    reaches = {name: recording.reach(name) for name in recording.timelines()}
     return Summary(
         path=str(recording.path),
         recording_id=recording.recording_id,
@@ -264,17 +222,17 @@ def _summary(chosen: View) -> Summary:
         env_ids=view.env_ids,
         sample=sample,
         step_dt=recording.step_dt,
-        timelines={name: Span(*reach) for name, reach in reaches.items() if reach is not None},
+        timelines={name: Span(*r) for name in recording.timelines() if (r := recording.reach(name)) is not None},
         parts=_parts(recording),
         notes=recording.events("recording"),
         frames=_frames(view),
         figures=episode_figures(shown),
         episodes=found,
-        tracking=tracking_errors(view),
-        base=base_motion(view),
-        forces=force_extremes(view),
-        efforts=effort_use(view),
-        rewards=reward_shares(view),
+        tracking=measures.tracking_errors(view),
+        base=measures.base_motion(view),
+        forces=measures.force_extremes(view),
+        efforts=measures.effort_use(view),
+        rewards=measures.reward_shares(view),
         events=dict(Counter(event.text for event in view.events("events"))),
         training=training_trends(recording, chosen.selection),
         samples=samples,
@@ -289,9 +247,9 @@ def episode_figures(found: list[Episode]) -> EpisodeFigures:
         count=len(found),
         whole=len(kept),
         begun_before=sum(not episode.is_from_start for episode in found),
-        unfinished=sum(episode.outcome == UNFINISHED for episode in found),
-        failed=outcomes[FAILED],
-        timed_out=outcomes[TIMED_OUT],
+        unfinished=sum(episode.outcome == measures.UNFINISHED for episode in found),
+        failed=outcomes[measures.FAILED],
+        timed_out=outcomes[measures.TIMED_OUT],
         survival=survival(found),
         ended_by=dict(Counter(ending(episode.ended_by) for episode in kept)),
         mean_duration_s=mean_duration(found),
@@ -310,10 +268,7 @@ def _frames(view: View) -> tuple[int, int] | None:
 
 
 def _parts(recording: Recording) -> list[Part]:
-    entities: Counter[str] = Counter()
-    rows: Counter[str] = Counter()
+    rows: dict[str, list[int]] = {}
     for entity in recording.entities():
-        name = unescaped(BRANCH.sub("", entity).split("/")[0])
-        entities[name] += 1
-        rows[name] += recording.count(entity)
-    return [Part(name, count, rows[name]) for name, count in entities.items()]
+        rows.setdefault(unescaped(BRANCH.sub("", entity).split("/")[0]), []).append(recording.count(entity))
+    return [Part(name, len(counts), sum(counts)) for name, counts in rows.items()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,12 +38,10 @@ class Target:
     def resting(self) -> Iterator[None]:
         """Lock the recording's run directory inside the block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
-        lock = None if run is None else run.path / RUN_LOCK
         # A user without write access to the lock file cannot resume the run, so no lock is needed.
-        if run is None or lock is None or not os.access(lock, os.W_OK):
-            yield
-            return
-        with RunLock(run).held():
+        with ExitStack() as stack:
+            if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
+                stack.enter_context(RunLock(run).held())
             yield
 
     def others(self) -> list[Path]:
@@ -67,8 +65,7 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
         raise RunDirectoryError(f"'{path}' is a broken link", expected="a recording")
     if path.suffix == _SUFFIX and not path.exists():
-        names = [p.name for p in path.parent.glob(f"*{_SUFFIX}")] if path.parent.is_dir() else []
-        like = nearest_name(path.name, names)
+        like = nearest_name(path.name, [p.name for p in path.parent.glob(f"*{_SUFFIX}")])
         nearest = str(path.with_name(like)) if like else None
         raise RunDirectoryError(f"there is no file '{path}'", expected="a recording", nearest=nearest)
     run = RunDirectory.open(word, root)
@@ -104,9 +101,8 @@ def _training(run: RunDirectory) -> Path:
     reason = "it was trained with recording.enabled=false" if is_disabled else f"there is no {RECORDING}"
     others = [path.relative_to(run.path) for path in recordings_of(run)]
     hint = f"; its plays were recorded: {', '.join(map(str, others))}" if others else ""
-    raise RunDirectoryError(
-        f"run '{run.id}' has no recording of its training: {reason}{hint}", expected="a recorded run, or --play"
-    )
+    message = f"run '{run.id}' has no recording of its training: {reason}{hint}"
+    raise RunDirectoryError(message, expected="a recorded run, or --play")
 
 
 def _in_folder(folder: Path) -> Path:
@@ -116,8 +112,8 @@ def _in_folder(folder: Path) -> Path:
     if len(found) == 1:
         return folder / found[0]
     expected = "one of " + ", ".join(found) if found else f"a run, a recording, or a folder with {RECORDING}"
-    count = len(found) or "no"
-    raise RunDirectoryError(f"'{folder}' is not a run, and contains {count} recordings", expected=expected)
+    message = f"'{folder}' is not a run, and contains {len(found) or 'no'} recordings"
+    raise RunDirectoryError(message, expected=expected)
 
 
 def _run_around(path: Path) -> RunDirectory | None:

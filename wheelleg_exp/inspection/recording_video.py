@@ -71,14 +71,12 @@ def video(
         raise WheellegError(f"a video cannot have {fps:g} pictures a second", key="--fps", expected="1 to 240")
     if not (1e-3 <= speed <= 1e3):
         raise WheellegError(f"a video cannot have a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
-    chosen = Selection() if selection is None else selection
+    chosen = selection or Selection()
     shown = scenery(recording, chosen.env_id)
     takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
-    pictures = _pictures(shown, takes, width, height, caption)
-    total = sum(map(len, takes))
+    pictures, total = _pictures(shown, takes, width, height, caption), sum(map(len, takes))
     report = None if progress is None else lambda done: progress(done, total)
-    codec = video_file.write(path, pictures, fps, (width, height), report)
-    return Video(total, fps, codec, shown.env_id)
+    return Video(total, fps, video_file.write(path, pictures, fps, (width, height), report), shown.env_id)
 
 
 def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
@@ -101,13 +99,11 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else speed / fps
     count = max(1, round((time[-1] - time[0] + spacing) * fps / speed))
     if count > _MOST_PICTURES:
-        raise WheellegError(
-            f"the video would have {count} pictures", expected=f"at most {_MOST_PICTURES}: --from, --to, --speed"
-        )
+        expected = f"at most {_MOST_PICTURES}: --from, --to, --speed"
+        raise WheellegError(f"the video would have {count} pictures", expected=expected)
     moments = time[0] + np.arange(count) * speed / fps
     # The small offset compensates rounding errors of recorded simulated times.
-    places = np.searchsorted(time, moments + 1e-9, side="right") - 1
-    return np.asarray(rows[np.clip(places, 0, len(rows) - 1)])
+    return np.asarray(rows[np.clip(np.searchsorted(time, moments + 1e-9, side="right") - 1, 0, len(rows) - 1)])
 
 
 def _pictures(

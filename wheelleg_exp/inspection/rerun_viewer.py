@@ -91,9 +91,8 @@ class WebViewer:
         try:
             self._server = _Server((LOOPBACK, port), partial(_Handler, files, Path(path)))
         except (OSError, OverflowError) as error:
-            raise WheellegError(
-                f"cannot listen on port {port}: {error}", key="--port", expected="a free port, or none"
-            ) from error
+            message = f"cannot listen on port {port}: {error}"
+            raise WheellegError(message, key="--port", expected="a free port, or none") from error
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
 
     @property
@@ -129,11 +128,6 @@ def viewer_files() -> Files:
                 if process.poll() is not None or time.monotonic() > end:
                     raise SimulationFailure(f"the web viewer does not start: {failure_line(output)}") from error
                 time.sleep(0.05)
-
-
-def page_url(base: str) -> str:
-    """Return the URL that shows the recording in rerun's web viewer."""
-    return f"{base}?url={quote(base.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
 
 
 def _fetched(port: int, name: str) -> tuple[str, bytes]:
@@ -176,7 +170,10 @@ class _Handler(BaseHTTPRequestHandler):
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            self._reply(HTTPStatus.FOUND, {"Location": page_url(f"http://{self.headers['Host']}/")})
+            # The page shows the recording in rerun's web viewer.
+            page = f"http://{self.headers['Host']}/"
+            query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
+            self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
         elif address.path == RECORDING and self._recording.is_file():
             with self._recording.open("rb") as file, suppress(ConnectionError):
                 # A training can append to the recording while the server sends the file.
@@ -208,11 +205,8 @@ _START_S, _ENDING_S, _SETTLE_S, _STILL = 30.0, 2.0, 0.4, 3
 def open_window(path: Path) -> None:
     """Show a recording in a window of rerun's viewer until the user closes the window."""
     if not has_display():
-        raise WheellegError(
-            "there is no display for a window",
-            key="--open",
-            expected="a desktop; --web serves the viewer for a browser, --screenshot OUT.png --viewer draws a picture",
-        )
+        expected = "a desktop; --web serves the viewer for a browser, --screenshot OUT.png --viewer draws a picture"
+        raise WheellegError("there is no display for a window", key="--open", expected=expected)
     with viewer(["--port", str(free_port()), "--hide-welcome-screen", str(path.absolute())]) as (process, output):
         if process.wait() != 0:
             raise SimulationFailure(f"the viewer ended with status {process.returncode}: {failure_line(output)}")
@@ -220,9 +214,7 @@ def open_window(path: Path) -> None:
 
 def has_display() -> bool:
     """Return whether the machine has a display for a window."""
-    if sys.platform.startswith("linux"):
-        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    return True
+    return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
@@ -288,20 +280,16 @@ def _no_graphics(output: IO[bytes]) -> NoGraphics:
 
 def _still(client: Any) -> bytes:
     """Wait until two consecutive screenshots are equal, because the viewer loads data over several frames."""
-    before = bytes(client.take_screenshot())
+    now = bytes(client.take_screenshot())
     for _ in range(_STILL):
         time.sleep(_SETTLE_S)
-        now = bytes(client.take_screenshot())
+        before, now = now, bytes(client.take_screenshot())
         if now == before:
             break
-        before = now
-    return before
+    return now
 
 
 def _open_browser(url: str) -> bool:
-    if not has_display():
-        return False
-    try:
-        return webbrowser.open(url)
-    except webbrowser.Error:
-        return False
+    with suppress(webbrowser.Error):
+        return has_display() and webbrowser.open(url)
+    return False

@@ -50,8 +50,7 @@ def write_picture(robot: CompiledRobot, path: Path) -> None:
 
 def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
     size = robot.anatomy.size
-    shapes = [*_colliders(robot), *_marks(robot)]
-    scene = Scene({"robot": shapes}, (), Ground(0.0, size / 4), 0, size)
+    scene = Scene({"robot": [*_colliders(robot), *_marks(robot)]}, (), Ground(0.0, size / 4), 0, size)
     place, upright = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
     cloud = points(scene, place, upright)
     lookat = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
@@ -79,9 +78,8 @@ def _colliders(robot: CompiledRobot) -> list[Shape]:
     for geom in colliders(model, [model.body(name).id for name in robot.bodies]):
         body = int(model.geom_bodyid[geom])
         rgba = _INSIDE if body in inside else _WHEEL if body in wheels else _GREY
-        quat = np.zeros(4)
+        quat, shape = np.zeros(4), shape_of(model, geom)
         mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
-        shape = shape_of(model, geom)
         if shape is not None:
             shapes.append(replace(shape, pos=tuple(data.geom_xpos[geom]), quat=tuple(quat), rgba=rgba))
     return shapes
@@ -109,6 +107,5 @@ def _ball(place: Array, radius: float, rgba: tuple[float, ...]) -> Shape:
 
 def _rod(one: Array, other: Array, size: float, rgba: tuple[float, ...]) -> Shape:
     quat, half = np.zeros(4), float(np.linalg.norm(other - one)) / 2
-    direction = (other - one) / max(2 * half, 1e-12)
-    mujoco.mju_quatZ2Vec(quat, direction)
+    mujoco.mju_quatZ2Vec(quat, (other - one) / max(2 * half, 1e-12))
     return Shape("capsule", (_ROD * size, half), tuple((one + other) / 2), tuple(quat), rgba)

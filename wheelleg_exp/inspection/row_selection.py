@@ -31,11 +31,8 @@ class Length:
         if self.is_steps:
             return round(self.value)
         if not step_dt:
-            raise WheellegError(
-                "the duration of a control step is not in this recording",
-                key=f"{self.value:g}s",
-                expected="steps: 30steps",
-            )
+            message = "the duration of a control step is not in this recording"
+            raise WheellegError(message, key=f"{self.value:g}s", expected="steps: 30steps")
         return round(self.value / step_dt)
 
 
@@ -45,9 +42,8 @@ def parse_length(text: str, key: str) -> Length:
     if match and match.group(2) in (*_SECONDS, *_STEPS) and math.isfinite(float(match.group(1))):
         value, unit = float(match.group(1)), match.group(2)
         return Length(value, True) if unit in _STEPS else Length(value * _SECONDS[unit], False)
-    raise WheellegError(
-        f"'{text}' is not a length of time", key=key, expected="a number with s, ms or steps, such as 0.5s"
-    )
+    expected = "a number with s, ms or steps, such as 0.5s"
+    raise WheellegError(f"'{text}' is not a length of time", key=key, expected=expected)
 
 
 @dataclass(frozen=True)
@@ -99,12 +95,9 @@ class Selection:
 
 def nothing_chosen(recording: Recording) -> WheellegError:
     """Return the error for a selection without rows; the message names the recorded range."""
-    spans = []
-    for name, words in ((SIM_TIME, "times from {:.3f} to {:.3f} s"), (STEP, "steps {:.0f} to {:.0f}")):
-        reach = recording.reach(name)
-        spans += [words.format(*reach)] if reach is not None else []
-    reach = recording.reach(ITERATION)
-    spans += [f"iterations {reach[0]:.0f} to {reach[1]:.0f}"] if reach is not None else []
+    words = {SIM_TIME: "times from {:.3f} to {:.3f} s", STEP: "steps {:.0f} to {:.0f}"}
+    words[ITERATION] = "iterations {:.0f} to {:.0f}"
+    spans = [text.format(*reach) for name, text in words.items() if (reach := recording.reach(name)) is not None]
     return WheellegError("no recorded row is selected", expected=", ".join(spans) or "a recording with rows")
 
 
@@ -121,8 +114,7 @@ def _half_step(table: pa.Table) -> float:
     ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
     lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
     # The control steps in another program's recording can have different durations.
-    is_regular = math.isclose(*lengths, rel_tol=1e-3)
-    return max(0.5 * lengths[1], _CLOSE) if is_regular else _CLOSE
+    return max(0.5 * lengths[1], _CLOSE) if math.isclose(*lengths, rel_tol=1e-3) else _CLOSE
 
 
 def parse_iterations(text: str) -> tuple[int, int]:

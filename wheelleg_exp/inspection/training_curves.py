@@ -74,10 +74,19 @@ def reward_course(scalars: Scalars) -> list[Panel]:
         return []
     late = {name: mean_of(v[-max(1, len(v) // 10) :]) for name, (_, v) in terms.items()}
     order = sorted(terms, key=lambda name: -float(np.nansum(np.abs(terms[name][1]))))
-    return [
-        Panel(f"Reward by term: {EPISODE_REWARD}", _stacker(terms, order), wide=True, height=2.8),
-        shares(late, f"Reward by term in the last tenth: {EPISODE_REWARD}", ""),
-    ]
+    names = [name for name in order if np.any(np.asarray(terms[name][1]) != 0)] or order[:1]
+
+    def draw(axes: Axes) -> None:
+        x = np.asarray(terms[names[0]][0])
+        most = _SHOWN_TERMS if len(names) > _SHOWN_TERMS + 1 else len(names)
+        rows = [(name, _on(x, terms[name]), colour(i)) for i, name in enumerate(names[:most])]
+        if rest := names[most:]:
+            rows.append((f"{len(rest)} others", np.sum([_on(x, terms[n]) for n in rest], axis=0), "#B8C0CA"))
+        stack(axes, x, rows)
+        over_iterations(axes)
+
+    by_term = Panel(f"Reward by term: {EPISODE_REWARD}", draw, wide=True, height=2.8)
+    return [by_term, shares(late, f"Reward by term in the last tenth: {EPISODE_REWARD}", "")]
 
 
 def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
@@ -153,29 +162,13 @@ def _below(scalars: Scalars, group: str) -> dict[str, tuple[Any, Any]]:
     return {key.removeprefix(head): points for key, points in scalars.items() if key.startswith(head)}
 
 
-def _stacker(terms: Mapping[str, tuple[Any, Any]], order: Sequence[str]) -> Any:
-    shown = [name for name in order if np.any(np.asarray(terms[name][1]) != 0)] or list(order[:1])
-
-    def draw(axes: Axes) -> None:
-        x = np.asarray(terms[shown[0]][0])
-        most = _SHOWN_TERMS if len(shown) > _SHOWN_TERMS + 1 else len(shown)
-        rows = [(name, _on(x, terms[name]), colour(i)) for i, name in enumerate(shown[:most])]
-        if rest := shown[most:]:
-            rows.append((f"{len(rest)} others", np.sum([_on(x, terms[n]) for n in rest], axis=0), "#B8C0CA"))
-        stack(axes, x, rows)
-        over_iterations(axes)
-
-    return draw
-
-
 def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> None:
     """Stack named rows over ``x``: positive numbers up, negative numbers down."""
     for sign in (1.0, -1.0):
         parts = [(shade, np.clip(sign * np.nan_to_num(v), 0, None) * sign) for _, v, shade in rows]
         if any(np.any(part) for _, part in parts):
-            axes.stackplot(
-                x, *(p for _, p in parts), colors=[s for s, _ in parts], alpha=0.85, linewidth=0.4, edgecolor="white"
-            )
+            colours, values = zip(*parts, strict=True)
+            axes.stackplot(x, *values, colors=colours, alpha=0.85, linewidth=0.4, edgecolor="white")
     handles = [axes.fill_between([], [], color=shade, alpha=0.85, label=name) for name, _, shade in rows]
     axes.axhline(0.0, color=MUTED, linewidth=0.8)
     axes.margins(x=0)

@@ -25,23 +25,13 @@ from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.sim.terrain import TerrainBase
 
 _TERMS = ("actions", "commands", "curriculums", "events", "observations", "rewards", "terminations")
+_MODULES_OF_MANAGERS = ("action_manager", "command_manager", "manager_base", "manager_term_cfg", "scene_entity_cfg")
 
 
 def _public(module: ModuleType) -> dict[str, Any]:
     own = f"{module.__name__}."
     names = {n: v for n, v in vars(module).items() if not n.startswith("_") and not isinstance(v, ModuleType)}
     return {n: v for n, v in names.items() if f"{getattr(v, '__module__', module.__name__)}.".startswith(own)}
-
-
-def _add_module(path: str, doc: str, members: dict[str, Any]) -> None:
-    """Create a module below this package, and make it importable by its dotted path."""
-    module = ModuleType(f"{__name__}.{path}", doc)
-    module.__spec__ = ModuleSpec(module.__name__, None, is_package=True)
-    module.__path__ = []
-    vars(module).update(members)
-    sys.modules[module.__name__] = module
-    parent, _, name = module.__name__.rpartition(".")
-    setattr(sys.modules[parent], name, module)
 
 
 _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
@@ -57,15 +47,18 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "envs": ("The environment.", dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)),
     "envs.mdp": ("The stock terms.", {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}),
     **{f"envs.mdp.{kind}": (f"The stock {kind}.", terms) for kind, terms in _TERMS_BY_KIND.items()},
-    "managers.action_manager": ("Terms and managers.", _MANAGERS),
-    "managers.command_manager": ("Terms and managers.", _MANAGERS),
-    "managers.manager_base": ("Terms and managers.", _MANAGERS),
-    "managers.manager_term_cfg": ("Terms and managers.", _MANAGERS),
-    "managers.scene_entity_cfg": ("Terms and managers.", _MANAGERS),
+    **{f"managers.{name}": ("Terms and managers.", _MANAGERS) for name in _MODULES_OF_MANAGERS},
     "scene": ("The scene.", {"InteractiveScene": Scene}),
     "sensors": ("The sensors of the scene.", {**_public(sensors), "TiledCamera": sensors.Camera}),
     "sim": ("The simulation, for annotations.", {"SimulationContext": Simulation}),
     "terrains": ("The ground.", {"TerrainImporter": TerrainBase}),
 }
 for _path, (_doc, _members) in _MODULES.items():
-    _add_module(_path, _doc, _members)
+    # Create each module below this package, and make it importable by its dotted path.
+    _module = ModuleType(f"{__name__}.{_path}", _doc)
+    _module.__spec__ = ModuleSpec(_module.__name__, None, is_package=True)
+    _module.__path__ = []
+    vars(_module).update(_members)
+    sys.modules[_module.__name__] = _module
+    _parent, _, _name = _module.__name__.rpartition(".")
+    setattr(sys.modules[_parent], _name, _module)

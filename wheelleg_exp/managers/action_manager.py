@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase, table
+from wheelleg_exp.managers.manager_base import ManagerBase, TermBase, table
 from wheelleg_exp.managers.return_checks import require_form, row_form
 from wheelleg_exp.managers.sample_history import made_delay
 from wheelleg_exp.managers.term_interface import Env
@@ -51,15 +51,11 @@ def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> li
 
     A claim consists of the config key of a term, the kind of target that the term sets, and the term's joints.
     """
-    found = list(claims)
-    return [
-        error
-        for kind in dict.fromkeys(kind for _, kind, _ in found if kind)
-        for error in shared_errors(
-            [(path.rpartition(".")[2], f"{path}.joint_names", joints) for path, of, joints in found if of == kind],
-            f"each joint in one term that sets {kind} targets",
-        )
-    ]
+    by_kind: dict[str, list[tuple[str, str, Sequence[str]]]] = {}
+    for path, kind, joints in claims:
+        by_kind.setdefault(kind, []).append((path.rpartition(".")[2], f"{path}.joint_names", joints))
+    named = {kind: f"each joint in one term that sets {kind} targets" for kind in by_kind if kind}
+    return [error for kind, expected in named.items() for error in shared_errors(by_kind[kind], expected)]
 
 
 class ActionManager(ManagerBase):
@@ -78,7 +74,14 @@ class ActionManager(ManagerBase):
             if not isinstance(term.func, ActionTerm):
                 raise ConfigError(f"'{term.target}' is not an action term", key=term.path, expected="an action term")
             self._action_terms[name] = term.func
-            _require_actions(term.func, term, env)
+            width = getattr(term.func, "action_dim", None)
+            if isinstance(width, bool) or not isinstance(width, int) or width < 1:
+                message, where = f"action_dim of '{term.target}' is {width!r}", code_place(term.func)
+                expected = "a whole number of at least 1, set in __init__"
+                raise ConfigError(message, key=term.path, where=where, expected=expected)
+            for given in ("raw_actions", "processed_actions"):
+                form, source = row_form(env.num_envs, env.device), f"{given} of '{term.target}'"
+                require_form(form, getattr(term.func, given, None), source, term.path, term.func)
         driving = [(self._terms[name].path, f) for name, f in self._action_terms.items() if f.drives]
         for error in shared_action_errors((path, f.drives, f.joint_names) for path, f in driving):
             raise error
@@ -123,19 +126,17 @@ class ActionManager(ManagerBase):
     def apply_action(self) -> None:
         """Set the targets of every term before a physics step. Constant targets are set only once per control step."""
         for name, term in self._action_terms.items():
-            if self._is_new or name in self._delays or not term.applies_once:
-                with self._terms[name].blamed():
-                    self._apply(name, term)
+            if not (self._is_new or name in self._delays or not term.applies_once):
+                continue
+            with self._terms[name].blamed():
+                present = None
+                if name in self._delays:
+                    present = term.processed_actions.clone()
+                    term.processed_actions.copy_(self._delays[name].push(present))
+                term.apply_actions()
+                if present is not None:
+                    term.processed_actions.copy_(present)
         self._is_new = False
-
-    def _apply(self, name: str, term: ActionTerm) -> None:
-        if name not in self._delays:
-            term.apply_actions()
-            return
-        present = term.processed_actions.clone()
-        term.processed_actions.copy_(self._delays[name].push(present))
-        term.apply_actions()
-        term.processed_actions.copy_(present)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Zero the actions of ``env_ids``."""
@@ -156,22 +157,7 @@ class ActionManager(ManagerBase):
             delay.load_state_dict(saved["delays"][name])
 
     def __str__(self) -> str:
-        rows = [
-            (i, name, term.action_dim, self._terms[name].target.rsplit(".", 1)[-1])
-            for i, (name, term) in enumerate(self._action_terms.items())
-        ]
+        targets = [self._terms[name].target.rsplit(".", 1)[-1] for name in self._action_terms]
+        terms = enumerate(self._action_terms.items())
+        rows = [(i, name, term.action_dim, targets[i]) for i, (name, term) in terms]
         return table(f"Actions: {self.total_action_dim}", ("index", "name", "width", "term"), rows)
-
-
-def _require_actions(actions: ActionTerm, term: Term, env: Env) -> None:
-    width = getattr(actions, "action_dim", None)
-    if isinstance(width, bool) or not isinstance(width, int) or width < 1:
-        raise ConfigError(
-            f"action_dim of '{term.target}' is {width!r}",
-            key=term.path,
-            where=code_place(actions),
-            expected="a whole number of at least 1, set in __init__",
-        )
-    for name in ("raw_actions", "processed_actions"):
-        source = f"{name} of '{term.target}'"
-        require_form(row_form(env.num_envs, env.device), getattr(actions, name, None), source, term.path, actions)

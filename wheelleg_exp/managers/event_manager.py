@@ -140,31 +140,21 @@ class EventManager(ManagerBase):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        return {
-            **super().state_dict(),
-            "time_left": cloned(self._time_left),
-            "last_step": cloned(self._last_step),
-            "fired_once": cloned(self._fired_once),
-            "fired": cloned(self.fired),
-        }
+        timers = {name: cloned(getattr(self, f"_{name}")) for name in ("time_left", "last_step", "fired_once")}
+        return {**super().state_dict(), **timers, "fired": cloned(self.fired)}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
-        for key, own in {
-            "time_left": self._time_left,
-            "last_step": self._last_step,
-            "fired_once": self._fired_once,
-        }.items():
+        for key in ("time_left", "last_step", "fired_once"):
             for name, value in saved[key].items():
-                own[name].copy_(value)
+                getattr(self, f"_{key}")[name].copy_(value)
         self.fired = cloned(saved["fired"])
 
     def _draw_timer(self, name: str, term: Term, ids: torch.Tensor) -> None:
         low, high = term.fields["interval_range_s"]
         generator = self._env.streams.get(f"{term.path}.interval")
-        self._time_left[name][ids] = low + (high - low) * torch.rand(
-            ids.shape[0], generator=generator, device=ids.device
-        )
+        drawn = torch.rand(ids.shape[0], generator=generator, device=ids.device)
+        self._time_left[name][ids] = low + (high - low) * drawn
 
     def _due(self, name: str, term: Term, ids: torch.Tensor, step: int) -> torch.Tensor:
         wait = term.fields.get("min_step_count_between_reset", 0)
@@ -177,9 +167,7 @@ class EventManager(ManagerBase):
         return ids
 
     def __str__(self) -> str:
-        rows = [
-            (mode, name, term.fields.get("interval_range_s", "-"), term.target.rsplit(".", 1)[-1])
-            for mode, terms in self._modes.items()
-            for name, term in terms.items()
-        ]
+        terms = [(mode, name, term) for mode, terms in self._modes.items() for name, term in terms.items()]
+        last = [(t.fields.get("interval_range_s", "-"), t.target.rsplit(".", 1)[-1]) for _, _, t in terms]
+        rows = [(mode, name, *cells) for (mode, name, _), cells in zip(terms, last, strict=True)]
         return table(f"Events: {len(rows)}", ("mode", "name", "interval (s)", "term"), rows)

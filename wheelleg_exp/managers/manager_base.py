@@ -25,19 +25,8 @@ from wheelleg_exp.managers.streams import lent
 from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
-from wheelleg_exp.terms.term_binding import (
-    FIELD_TYPES,
-    TARGET,
-    TermNode,
-    cfg_class,
-    read_from,
-    resolve_target,
-    split_node,
-    takes_cfg,
-    target_arguments,
-    walk_nodes,
-    written_for_isaac_lab,
-)
+from wheelleg_exp.terms import term_binding
+from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET, TermNode, read_from, resolve_target
 from wheelleg_exp.terms.term_errors import failure, field_errors, nested_errors, parameter_errors, placed
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
@@ -225,7 +214,7 @@ def bind_terms(
     ``instantiate``, call ``instantiate_term`` later to make the term objects.
     """
     terms = {
-        name: _bound_term(kind, split_node(kind, f"{section}.{name}", node), env)
+        name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
         for name, node in (nodes or {}).items()
         if node is not None
     }
@@ -242,7 +231,7 @@ def _bound_term(kind: str, node: TermNode, env: Env) -> Term:
     fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
     term = Term(node.name, node.path, node.target, target, {}, fields)
     takes_generator = "generator" in inspect.signature(read_from(target)).parameters
-    if takes_generator or written_for_isaac_lab(target):
+    if takes_generator or term_binding.written_for_isaac_lab(target):
         term.generator, term.lends = env.streams.get(node.path), not takes_generator
     term.params = _params(term, node.params, env)
     term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
@@ -256,13 +245,6 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
         if isinstance(value, SceneEntityCfg):
             value.resolve(env.scene, f"{term.path}.{name}")
     return params if term.generator is None or term.lends else {**params, "generator": term.generator}
-
-
-def _constructor_arguments(kind: Any, term: Term, env: Env) -> dict[str, Any]:
-    if not takes_cfg(kind):
-        return _params(term, term.arguments, env)
-    config = cfg_class(kind)  # action and command terms read their config themselves
-    return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
 
 
 def instantiate_term(term: Term, env: Env) -> None:
@@ -280,10 +262,18 @@ def instantiate_term(term: Term, env: Env) -> None:
         for error in parameter_errors("commands", node, kind):  # command terms have no fields that the manager reads
             raise error
         with term.blamed():
-            made_object: TermBase = cast(Any, kind)(env=env, **_constructor_arguments(kind, term, env))
+            arguments: dict[str, Any] = {"cfg": term}
+            if not term_binding.takes_cfg(kind):
+                arguments = _params(term, term.arguments, env)
+            elif (config := term_binding.cfg_class(kind)) and config is read_from(kind):
+                # Action and command terms read their config themselves.
+                arguments = {"cfg": config(**_params(term, term.arguments, env))}
+            made_object: TermBase = cast(Any, kind)(env=env, **arguments)
         return made_object
 
-    term.made_by(make, keeps_params=takes_cfg(kind) and read_from(kind) is not cfg_class(kind))
+    term.made_by(
+        make, keeps_params=term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
+    )
 
 
 def build(value: Any, path: str) -> Any:
@@ -291,7 +281,7 @@ def build(value: Any, path: str) -> Any:
 
     Interpolations in the parameter are not resolved, because the config is already composed.
     """
-    for where, node in walk_nodes(value, path):
+    for where, node in term_binding.walk_nodes(value, path):
         if TARGET in node:
             for error in nested_errors(where, node, resolve_target(str(node[TARGET]), where)):
                 raise error
@@ -306,7 +296,7 @@ def _built(value: Any, path: str) -> Any:
         return copy.deepcopy(value)
     if TARGET not in value:
         return {key: _built(item, f"{path}.{key}") for key, item in value.items()}
-    arguments = {key: _built(item, f"{path}.{key}") for key, item in target_arguments(value, path).items()}
+    arguments = {key: _built(item, f"{path}.{key}") for key, item in term_binding.target_arguments(value, path).items()}
     try:
         with ending_as(ConfigError):
             return resolve_target(str(value[TARGET]), path)(**arguments)
@@ -368,11 +358,8 @@ class ManagerBase(OfEnv, Kept):
     def get_term_cfg(self, name: str) -> Term:
         """Return a term with ``func``, ``params``, and the manager's fields, which can be read and changed."""
         if name not in self._terms:
-            raise ConfigError(
-                f"there is no term '{name}' in env.{self.kind}",
-                expected="one of " + (", ".join(self._terms) or "(no terms)"),
-                nearest=nearest_name(name, self._terms),
-            )
+            message, nearest = f"there is no term '{name}' in env.{self.kind}", nearest_name(name, self._terms)
+            raise ConfigError(message, expected="one of " + (", ".join(self._terms) or "(no terms)"), nearest=nearest)
         return self._terms[name]
 
     def state_dict(self) -> dict[str, Any]:
@@ -405,12 +392,9 @@ class ManagerBase(OfEnv, Kept):
         return ()
 
     def __str__(self) -> str:
-        rows = [
-            (i, term.name, *self._cells(term), term.target.rsplit(".", 1)[-1])
-            for i, term in enumerate(self.bound_terms)
-        ]
-        title = f"{self.kind.capitalize()}: {len(rows)}"
-        return table(title, ("index", "name", *self.columns, "term"), rows)
+        cells = [(t.name, *self._cells(t), t.target.rsplit(".", 1)[-1]) for t in self.bound_terms]
+        rows = [(i, *row) for i, row in enumerate(cells)]
+        return table(f"{self.kind.capitalize()}: {len(rows)}", ("index", "name", *self.columns, "term"), rows)
 
 
 def _remembers(func: Any) -> bool:

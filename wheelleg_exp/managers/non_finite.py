@@ -62,9 +62,7 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
     rows = {
         "episode_length": env.episode_length_buf,
         "state": scene.sim.state,
-        "qpos": scene.sim.view("qpos"),
-        "qvel": scene.sim.view("qvel"),
-        "ctrl": scene.sim.view("ctrl"),
+        **{name: scene.sim.view(name) for name in ("qpos", "qvel", "ctrl")},
         "motion_at_start": scene.robot.data.motion_at_start,
         "action": actions.action,
         "previous_action": actions.prev_action,

@@ -92,12 +92,9 @@ class ObservationManager(Kept):
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
         """Return the last observation of one environment by term, as ``<group>-<term>``."""
-        shown = ((group, self.split(group, value)) for group, value in self.obs_buf.items())
-        return [
-            (f"{group}-{name}", value[env_idx].flatten().tolist())
-            for group, values in shown
-            for name, value in values.items()
-        ]
+        split = {group: self.split(group, value) for group, value in self.obs_buf.items()}
+        shown = {f"{group}-{name}": value for group, values in split.items() for name, value in values.items()}
+        return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
     def distinct(self) -> list[Group]:
         """Return the last observations, except of groups whose terms are the first terms of another group."""
@@ -114,11 +111,14 @@ class ObservationManager(Kept):
         With a mask ``only`` (N,) bool, noise, modifiers, and histories change only in the environments of the mask.
         """
         before = None if only is None else self.state_dict()
-        first = self._first_ids()
-        values = Values()
-        for group in [group for group in self._prefixes if not self._is_prefix(group)]:
-            self._unshare(group)
-        found = {group: self._computed(group, first, values) for group in self._order}
+        first, values = self._first_ids(), Values()
+        for group in list(self._prefixes):
+            pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
+            if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
+                self._unshare(group)
+        # A group that is a prefix of another group comes after that group.
+        order = sorted(self._groups, key=lambda group: group in self._prefixes)
+        found = {group: self._computed(group, first, values) for group in order}
         self.obs_buf = {group: found[group] for group in self._groups}
         if self._any_first:
             self._is_first.fill_(False)
@@ -195,11 +195,6 @@ class ObservationManager(Kept):
             one.share(others)
         self._find_prefixes(group)
 
-    @property
-    def _order(self) -> list[str]:
-        """The groups. A group that is a prefix of another group comes after that group."""
-        return sorted(self._groups, key=lambda group: group in self._prefixes)
-
     def _find_prefixes(self, added: str) -> None:
         """Share one row between two groups, if the terms of one group are the first terms of the other."""
         for known in [group for group in self._rows if group not in self._prefixes and group != added]:
@@ -217,11 +212,6 @@ class ObservationManager(Kept):
         self._rows[group] = row
         for index, term in enumerate(self._groups[group].values()):
             term.history = row.part(index)
-
-    def _is_prefix(self, group: str) -> bool:
-        whole = self._groups[self._prefixes[group]].values()
-        pairs = zip(self._groups[group].values(), whole, strict=False)
-        return all((one if one.same_as is other else other).is_shared() for one, other in pairs)
 
     def _unshare(self, group: str) -> None:
         terms = self._groups[group].values()
@@ -261,14 +251,11 @@ class ObservationManager(Kept):
         return self._layouts[group].join(shown)
 
     def __str__(self) -> str:
-        parts = []
+        parts, columns = [], ("index", "name", "shape", "scale", "term")
         for group, terms in self._groups.items():
-            rows = [
-                (i, name, term.shape, term.term.fields.get("scale", "-"), term.term.target.rsplit(".", 1)[-1])
-                for i, (name, term) in enumerate(terms.items())
-            ]
-            title = f"Observations '{group}': {self.group_obs_dim[group]}"
-            parts.append(table(title, ("index", "name", "shape", "scale", "term"), rows))
+            last = [(t.term.fields.get("scale", "-"), t.term.target.rsplit(".", 1)[-1]) for t in terms.values()]
+            rows = [(i, name, term.shape, *last[i]) for i, (name, term) in enumerate(terms.items())]
+            parts.append(table(f"Observations '{group}': {self.group_obs_dim[group]}", columns, rows))
         return "\n".join(parts)
 
 

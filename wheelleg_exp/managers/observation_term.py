@@ -46,9 +46,8 @@ class ObservationTerm(Kept):
         self._env = env
         modifiers = term.fields.get("modifiers") or []
         if not isinstance(modifiers, list):
-            raise ConfigError(
-                "modifiers is not a list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]"
-            )
+            message = "modifiers is not a list"
+            raise ConfigError(message, key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
         self._modifiers: list[Any] = list(modifiers)
         self._noise: Any = term.fields.get("noise") if corrupt else None
         self._generator = env.streams.get(f"{term.path}.noise")
@@ -59,15 +58,18 @@ class ObservationTerm(Kept):
                 if part is not None and not hasattr(part, method):
                     kind = type(part)
                     what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
-                    raise ConfigError(
-                        f"{what} has no {method}()",
-                        key=f"{self.term.path}.{name}",
-                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()",
-                    )
+                    expected = f"a _target_ of wheelleg_exp.mdp.{name}, or a user-defined class with {method}()"
+                    raise ConfigError(f"{what} has no {method}()", key=f"{self.term.path}.{name}", expected=expected)
         self._flatten = flatten
         term.form = row_form(env.num_envs, env.device, deep=True)
         sample = term(env)
-        self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[-1])
+        scale, width = term.fields.get("scale"), sample.shape[-1]
+        if scale is not None and not isinstance(scale, (int, float)):
+            if len(scale) != width:
+                message = f"scale has {len(scale)} numbers for a term of width {width}"
+                raise ConfigError(message, key=f"{term.path}.scale", expected=f"one number or {width}")
+            scale = torch.tensor(scale, dtype=torch.float32, device=env.device)
+        self._scale: torch.Tensor | float | None = scale
         self.delay = made_delay(term, sample, env)
         for number, modifier in enumerate(self._modifiers):
             modifier.start(sample)
@@ -80,10 +82,8 @@ class ObservationTerm(Kept):
         self.history_length = history_length
         self.sample_shape = tuple(sample.shape[1:])
         self.width = math.prod(self.sample_shape)
-        self._part_forms = {
-            name: dataclasses.replace(term.form, width=sample.shape[-1])
-            for name in ("noise", *(f"modifiers[{number}]" for number in range(len(self._modifiers))))
-        }
+        parts_of_sample = ("noise", *(f"modifiers[{number}]" for number in range(len(self._modifiers))))
+        self._part_forms = {name: dataclasses.replace(term.form, width=width) for name in parts_of_sample}
         self.shape = self.sample_shape
         if history_length:
             self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
@@ -113,10 +113,8 @@ class ObservationTerm(Kept):
 
     def is_shared(self) -> bool:
         """Return whether this term still reuses another term's value: a curriculum may have changed a parameter."""
-        return self.same_as is not None and all(
-            now.keys() == then.keys() and all(now[name] is value for name, value in then.items())
-            for now, then in self._when_shared
-        )
+        is_known = self.same_as is not None and all(now.keys() == then.keys() for now, then in self._when_shared)
+        return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
 
     def samples_as(self, other: ObservationTerm) -> bool:
         """Return whether another term has equal samples and an equal history length."""
@@ -182,16 +180,10 @@ class ObservationTerm(Kept):
             self.delay.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        state: dict[str, Any] = {
-            "modifiers": [modifier.state_dict() for modifier in self._modifiers],
-            "term": self.term.state_dict(),
-            "noise": self._noise_state.state_dict(),
-        }
-        if self.history is not None:
-            state["history"] = self.history.state_dict()
-        if self.delay is not None:
-            state["delay"] = self.delay.state_dict()
-        return state
+        state: dict[str, Any] = {"modifiers": [modifier.state_dict() for modifier in self._modifiers]}
+        state |= {"term": self.term.state_dict(), "noise": self._noise_state.state_dict()}
+        last = {"history": self.history, "delay": self.delay}
+        return state | {name: part.state_dict() for name, part in last.items() if part is not None}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
@@ -223,27 +215,19 @@ class ObservationTerm(Kept):
         require_form(self._part_forms[name], value, f"'{target}'", path, part)
         return value
 
-    def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
-        if scale is None or isinstance(scale, (int, float)):
-            return scale
-        if len(scale) != width:
-            raise ConfigError(
-                f"scale has {len(scale)} numbers for a term of width {width}",
-                key=f"{self.term.path}.scale",
-                expected=f"one number or {width}",
-            )
-        return torch.tensor(scale, dtype=torch.float32, device=self._env.device)
-
 
 def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
     """Return whether two observation terms have equal parameters that cannot change in place."""
-    return mine.keys() == theirs.keys() and all(_equal(value, theirs[name]) for name, value in mine.items())
-
-
-def _equal(mine: Any, theirs: Any) -> bool:
-    if isinstance(mine, SceneEntityCfg) and isinstance(theirs, SceneEntityCfg):
-        return mine.selects_as(theirs)
-    return type(mine) is type(theirs) and isinstance(mine, (str, bool, int, float, type(None))) and mine == theirs
+    for name, value in mine.items():
+        other = theirs.get(name)
+        if isinstance(value, SceneEntityCfg) and isinstance(other, SceneEntityCfg):
+            is_equal = value.selects_as(other)
+        else:
+            is_plain = type(value) is type(other) and isinstance(value, (str, bool, int, float, type(None)))
+            is_equal = is_plain and value == other
+        if not is_equal:
+            return False
+    return mine.keys() == theirs.keys()
 
 
 Group = torch.Tensor | dict[str, torch.Tensor]
@@ -265,7 +249,14 @@ class GroupLayout:
         self.by_time = options.history_order == "time"
         self._dim = options.concatenate_dim
         if self.by_time:
-            _require_steps(terms, options, path)
+            plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms.values())
+            lengths = {term.history_length for term in terms.values()}
+            if not (plain and len(lengths) == 1 and lengths != {0} and options.concatenate_terms):
+                message, key = "the histories of the terms cannot be ordered by step", f"{path}.history_order"
+                expected = (
+                    "concatenate_terms and flatten_history_dim true, and one history_length of at least 1 for vectors"
+                )
+                raise ConfigError(message, key=key, expected=expected)
         if not self.concatenated:
             self.shape: tuple[int, ...] | list[tuple[int, ...]] = list(shapes.values())
             return
@@ -309,25 +300,11 @@ def _parts(widths: Mapping[str, int], steps: int) -> dict[str, list[slice]]:
     return found
 
 
-def _require_steps(terms: Mapping[str, ObservationTerm], options: GroupOptions, path: str) -> None:
-    plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms.values())
-    lengths = {term.history_length for term in terms.values()}
-    if not (plain and len(lengths) == 1 and lengths != {0} and options.concatenate_terms):
-        raise ConfigError(
-            "the histories of the terms cannot be ordered by step",
-            key=f"{path}.history_order",
-            expected="concatenate_terms and flatten_history_dim true, and one history_length of at least 1 for vectors",
-        )
-
-
 def _require_joinable(shapes: Mapping[str, tuple[int, ...]], dim: int, path: str) -> None:
     deepest = max(map(len, shapes.values()))
     if not -deepest <= dim < deepest:
-        raise ConfigError(
-            f"the terms have no dimension {dim}",
-            key=f"{path}.concatenate_dim",
-            expected=f"from {-deepest} to {deepest - 1}",
-        )
+        message = f"the terms have no dimension {dim}"
+        raise ConfigError(message, key=f"{path}.concatenate_dim", expected=f"from {-deepest} to {deepest - 1}")
     others = {tuple(size for axis, size in enumerate(shape) if axis != dim % deepest) for shape in shapes.values()}
     if len({len(shape) for shape in shapes.values()}) > 1 or len(others) > 1:
         listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())

@@ -152,7 +152,11 @@ class RecorderManager(ManagerBase):
             if not isinstance(term.func, RecorderTerm):
                 expected = "a subclass of RecorderTerm"
                 raise ConfigError(f"'{term.target}' is not a recorder", key=term.path, expected=expected)
-        self._hooks = {name: self._having(name) for name in vars(RecorderTerm) if name.startswith("record_")}
+        self._hooks: dict[str, list[tuple[Term, RecorderTerm]]] = {}
+        for hook in (name for name in vars(RecorderTerm) if name.startswith("record_")):
+            pairs: Any = [(term, term.func) for term in self._terms.values()]
+            own = getattr(RecorderTerm, hook)
+            self._hooks[hook] = [(t, f) for t, f in pairs if getattr(type(f), hook) is not own]
         self._reads = any(t.reads_observations for _, t in self._hooks["record_post_step"])
         self._rows: dict[str, Rows] = {}
         self._initial: dict[str, Rows] = {}
@@ -234,10 +238,6 @@ class RecorderManager(ManagerBase):
         for name, state in saved.get("terms", {}).items():
             self._terms[name].load_state_dict(state)
 
-    def _having(self, hook: str) -> list[tuple[Term, RecorderTerm]]:
-        pairs = [(term, term.func) for term in self._terms.values()]
-        return [(t, f) for t, f in pairs if getattr(type(f), hook) is not getattr(RecorderTerm, hook)]  # type: ignore[misc]
-
     def _recorded(self, hook: str, rows: int, *args: torch.Tensor) -> Iterator[tuple[str, np.ndarray]]:
         for term, recorder in self._hooks[hook]:
             with term.blamed():
@@ -270,22 +270,16 @@ class RecorderManager(ManagerBase):
             success = ends.get_term(_SUCCESS)[env_ids].tolist()
         lengths = self._env.episode_length_buf[env_ids].tolist()
         for place, (env_id, length) in enumerate(zip(env_ids.tolist(), lengths, strict=True)):
-            group = self._group(success[place])
-            if group is None or not length or not self._is_whole[env_id]:
+            mode, is_success = self._options.export_mode, success[place]
+            group = "episodes" if mode == "all" else "succeeded" if is_success else "failed"
+            is_wanted = is_success or mode != "succeeded_only"
+            if not is_wanted or not length or not self._is_whole[env_id]:
                 continue
             last_step = self._env.common_step_counter
             about = {"env": env_id, "length": length, "last_step": last_step, "success": success[place]}
             arrays = {key: rows.of(env_id).copy() for key, rows in {**self._initial, **self._rows}.items()}
             arrays |= {key: value[place : place + 1] for key, value in last.items()}
             self._finished.setdefault(group, []).append((about, arrays))
-
-    def _group(self, success: bool) -> str | None:
-        mode = self._options.export_mode
-        if mode == "all":
-            return "episodes"
-        if mode == "succeeded_failed":
-            return "succeeded" if success else "failed"
-        return "succeeded" if success and mode == "succeeded_only" else None
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
         hooks = [hook for hook, having in self._hooks.items() if any(owner is term for owner, _ in having)]
@@ -295,7 +289,6 @@ class RecorderManager(ManagerBase):
 def _joined(episodes: Sequence[tuple[Mapping[str, Any], Arrays]]) -> Arrays:
     arrays = {f"episode/{name}": np.array([about[name] for about, _ in episodes]) for name in episodes[0][0]}
     for key in dict.fromkeys(key for _, own in episodes for key in own):
-        parts = [own[key] for _, own in episodes if key in own]
-        arrays[key] = np.concatenate(parts)
+        arrays[key] = np.concatenate([own[key] for _, own in episodes if key in own])
         arrays[f"rows/{key}"] = np.array([len(own.get(key, ())) for _, own in episodes])
     return arrays

@@ -89,7 +89,13 @@ class TensorForm:
             if isinstance(value, (bool, int, float, np.generic)):
                 return described(value), "torch.full((env.num_envs,), value)"
             return described(value), "torch.tensor(value)" if isinstance(value, list) else ""
-        if not self._has_shape(value.shape) or (self._shape is not None and value.shape != self._shape):
+        shape = value.shape
+        if self.width is None:
+            has_shape = shape == (self.rows,)
+        else:
+            has_shape = len(shape) >= 2 if self.deep else len(shape) == 2
+            has_shape = has_shape and shape[0] == self.rows and min(shape[1:]) >= 1 and self.width in (0, shape[-1])
+        if not has_shape or (self._shape is not None and value.shape != self._shape):
             before = "" if self._shape is None else f", and {tuple(self._shape)} before"
             return f"shape {tuple(value.shape)}{before}", self._reshaped(value.shape)
         if value.device != self.device:
@@ -98,12 +104,6 @@ class TensorForm:
             fix = "a comparison, such as value > limit" if self.dtype == torch.bool else "value.float()"
             return f"{_dtype_name(value.dtype)} numbers", "value.real" if value.dtype.is_complex else fix
         return ("a tensor that keeps its gradient", "value.detach()") if value.requires_grad else ("", "")
-
-    def _has_shape(self, shape: torch.Size) -> bool:
-        if self.width is None:
-            return shape == (self.rows,)
-        fits = len(shape) >= 2 if self.deep else len(shape) == 2
-        return fits and shape[0] == self.rows and min(shape[1:]) >= 1 and self.width in (0, shape[-1])
 
     def _reshaped(self, shape: torch.Size) -> str:
         if self._shape is not None:

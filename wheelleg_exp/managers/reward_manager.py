@@ -93,8 +93,7 @@ class RewardManager(ManagerBase):
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
         """Return the weighted reward per second of each term in this step of one environment."""
-        values = self.step_reward[:, env_idx].tolist()
-        return [(name, [value]) for name, value in zip(self._terms, values, strict=True)]
+        return [(name, [value]) for name, value in zip(self._terms, self.step_reward[:, env_idx].tolist(), strict=True)]
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums, divided by the longest episode's duration, s."""

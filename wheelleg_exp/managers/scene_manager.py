@@ -37,26 +37,15 @@ class SceneManager:
         self.scene = Scene(mjcf, num_envs, sim, scene, terrain, robot, actuators, sensors, stream or Streams(0).get)
 
     def __str__(self) -> str:
-        robot = self.scene.robot
-        joints = table(
-            f"Robot ({robot.options.profile}): {len(robot.body_names)} bodies, {len(robot.joint_names)} joints",
-            ("index", "joint", "default (rad)", "limits (rad)", "actuators"),
-            [
-                (
-                    index,
-                    name,
-                    f"{robot.layout.default_joint_pos[index]:.4f}",
-                    "[{:.3g}, {:.3g}]".format(*robot.layout.joint_pos_limits[index].tolist()),
-                    ", ".join(g for g, a in robot.actuators.items() if name in a.joint_names) or "-",
-                )
-                for index, name in enumerate(robot.joint_names)
-            ],
-        )
-        sensors = table(
-            f"Scene: {self.scene.num_envs} environments",
-            ("sensor", "class", "bodies"),
-            [(n, type(s).__name__, ", ".join(s.body_names)) for n, s in self.scene.sensors.items()],
-        )
+        robot, rows = self.scene.robot, []
+        for i, name in enumerate(robot.joint_names):
+            limits = "[{:.3g}, {:.3g}]".format(*robot.layout.joint_pos_limits[i].tolist())
+            groups = ", ".join(g for g, a in robot.actuators.items() if name in a.joint_names) or "-"
+            rows.append((i, name, f"{robot.layout.default_joint_pos[i]:.4f}", limits, groups))
+        title = f"Robot ({robot.options.profile}): {len(robot.body_names)} bodies, {len(robot.joint_names)} joints"
+        joints = table(title, ("index", "joint", "default (rad)", "limits (rad)", "actuators"), rows)
+        sensed = [(n, type(s).__name__, ", ".join(s.body_names)) for n, s in self.scene.sensors.items()]
+        sensors = table(f"Scene: {self.scene.num_envs} environments", ("sensor", "class", "bodies"), sensed)
         return f"{joints}\n{sensors}"
 
 

@@ -14,8 +14,7 @@ from wheelleg_exp.state import Kept, NamedStream
 
 def stream_seed(seed: int, path: str) -> int:
     """Return the 63-bit seed of the stream ``path``: the first bytes of SHA-256 over ``seed`` and ``path``."""
-    digest = hashlib.sha256(f"{seed}/{path}".encode()).digest()
-    return int.from_bytes(digest[:8], "little") & (2**63 - 1)
+    return int.from_bytes(hashlib.sha256(f"{seed}/{path}".encode()).digest()[:8], "little") & (2**63 - 1)
 
 
 class Streams(Kept):

@@ -42,9 +42,8 @@ class JointTerm(ActionTerm):
     ) -> None:
         self._robot = member(env.scene, asset_name, "asset_name")
         names = [joint_names] if isinstance(joint_names, str) else list(joint_names)
-        indices, self.joint_names = match_names(
-            names, self._robot.joint_names, key="joint_names", what="joint", preserve_order=preserve_order
-        )
+        order: dict[str, Any] = {"key": "joint_names", "what": "joint", "preserve_order": preserve_order}
+        indices, self.joint_names = match_names(names, self._robot.joint_names, **order)
         self.action_dim = len(indices) if width is None else width
         self._ids = narrowed(indices, env.device)
         bounds = None if clip is None else self._spread(clip, (-torch.inf, torch.inf), "clip")
@@ -59,8 +58,7 @@ class JointTerm(ActionTerm):
         self.raw_actions.index_fill_(0, env_ids, 0.0)
 
     def _set_targets(self) -> None:
-        set_target = getattr(self._robot, f"set_joint_{self.drives}_target")
-        set_target(self.processed_actions, self._ids)
+        getattr(self._robot, f"set_joint_{self.drives}_target")(self.processed_actions, self._ids)
 
     def _clip(self) -> None:
         if self._low is not None:
@@ -172,9 +170,8 @@ class RelativeJointPositionAction(JointAction):
         super().__init__(env, joint_names, scale, given, clip, preserve_order, asset_name)
 
     def apply_actions(self) -> None:
-        self._robot.set_joint_position_target(
-            self._robot.data.joint_pos_measured[:, self._ids] + self.processed_actions, self._ids
-        )
+        target = self._robot.data.joint_pos_measured[:, self._ids] + self.processed_actions
+        self._robot.set_joint_position_target(target, self._ids)
 
 
 class JointVelocityAction(_DefaultOffsetAction):

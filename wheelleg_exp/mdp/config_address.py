@@ -89,7 +89,17 @@ def _below(holder: Any, part: Part) -> Any:
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):
-        raise _absent(holder, part) from None
+        names: list[str] = []
+        if isinstance(holder, Mapping):
+            names = [str(name) for name in holder]
+        elif isinstance(holder, (ManagerBase, ObservationManager)):
+            names = list(holder.active_terms if isinstance(holder, ObservationManager) else holder.term_names)
+        elif not isinstance(holder, (list, tuple, torch.Tensor)):
+            names = [name for name in getattr(holder, "__dict__", ()) if not name.startswith("_")]
+        what = f"of {len(holder)}" if isinstance(holder, (list, tuple)) else f"in a {type(holder).__name__}"
+        expected, nearest = "one of " + ", ".join(names) if names else None, nearest_name(str(part), names)
+        message = f"there is no '{part}' {what}"
+        raise ConfigError(message, key=_KEY, expected=expected, nearest=nearest) from None
 
 
 def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
@@ -103,16 +113,3 @@ def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
     if term.stateful is None or part in term.params:
         return term.params
     return term.stateful if hasattr(term.stateful, str(part)) else term.arguments
-
-
-def _absent(holder: Any, part: Part) -> ConfigError:
-    names: list[str] = []
-    if isinstance(holder, Mapping):
-        names = [str(name) for name in holder]
-    elif isinstance(holder, (ManagerBase, ObservationManager)):
-        names = list(holder.active_terms if isinstance(holder, ObservationManager) else holder.term_names)
-    elif not isinstance(holder, (list, tuple, torch.Tensor)):
-        names = [name for name in vars(holder) if not name.startswith("_")] if hasattr(holder, "__dict__") else []
-    what = f"of {len(holder)}" if isinstance(holder, (list, tuple)) else f"in a {type(holder).__name__}"
-    expected, nearest = "one of " + ", ".join(names) if names else None, nearest_name(str(part), names)
-    return ConfigError(f"there is no '{part}' {what}", key=_KEY, expected=expected, nearest=nearest)

@@ -28,14 +28,8 @@ def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight
 
 
 _NO_CHANGE = object()
-_MANAGERS = {
-    "commands": "command_manager",
-    "actions": "action_manager",
-    "observations": "observation_manager",
-    "events": "event_manager",
-    "rewards": "reward_manager",
-    "terminations": "termination_manager",
-}
+_SECTIONS = ("commands", "actions", "observations", "events", "rewards", "terminations")
+_MANAGERS = {section: f"{section.removesuffix('s')}_manager" for section in _SECTIONS}
 
 
 class modify_env_param(TermBase):
@@ -65,7 +59,15 @@ class modify_env_param(TermBase):
         self._env = env
         self._parts = self.parts_of(address)
         self._params = dict(modify_params or {})
-        self._modify = _function(modify_fn, env, self._params)
+        self._modify: Any = resolve_target(modify_fn, "modify_fn") if isinstance(modify_fn, str) else modify_fn
+        if not callable(self._modify):
+            message = f"{modify_fn!r} cannot be called"
+            raise ConfigError(message, key="modify_fn", expected="the dotted name of a function")
+        try:
+            inspect.signature(self._modify).bind(env, None, None, **self._params)
+        except TypeError as error:
+            message = f"'{getattr(self._modify, '__name__', type(self._modify).__name__)}': {error}"
+            raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
         # A term saves its own settings, so this curriculum saves only values outside of terms.
         self._is_saved = passes_a_term(env, self._parts)
@@ -108,22 +110,9 @@ class modify_term_cfg(modify_env_param):
         section, *rest = parse(address)
         if section not in _MANAGERS:
             known, nearest = "one of " + ", ".join(_MANAGERS), nearest_name(str(section), _MANAGERS)
-            raise ConfigError(
-                f"'{section}' is not a section with terms", key="address", expected=known, nearest=nearest
-            )
+            message = f"'{section}' is not a section with terms"
+            raise ConfigError(message, key="address", expected=known, nearest=nearest)
         return (_MANAGERS[str(section)], *rest)
-
-
-def _function(given: Any, env: Env, params: Mapping[str, Any]) -> Callable[..., Any]:
-    found = resolve_target(given, "modify_fn") if isinstance(given, str) else given
-    if not callable(found):
-        raise ConfigError(f"{given!r} cannot be called", key="modify_fn", expected="the dotted name of a function")
-    try:
-        inspect.signature(found).bind(env, None, None, **params)
-    except TypeError as error:
-        name = getattr(found, "__name__", type(found).__name__)
-        raise ConfigError(f"'{name}': {error}", key="modify_params", expected="the arguments of modify_fn") from None
-    return found
 
 
 _ROBOT = SceneEntityCfg("robot")
@@ -273,9 +262,8 @@ class command_levels_by_skill(TermBase):
             raise error
         for name, values in (("std", std), ("step", step)):
             for axis in (axis for axis in self._limits if axis not in values):
-                raise ConfigError(
-                    f"{name} has no value for the axis '{axis}'", key=f"{name}.{axis}", expected="a number above 0"
-                )
+                message = f"{name} has no value for the axis '{axis}'"
+                raise ConfigError(message, key=f"{name}.{axis}", expected="a number above 0")
         self._names = tuple(self._limits)
         self._columns = [_AXES.index(axis) for axis in self._names]
         self._variances = tuple(float(std[axis]) ** 2 for axis in self._names)

@@ -16,9 +16,7 @@ Operation = Literal["add", "scale", "abs"]
 def _apply(value: torch.Tensor, drawn: torch.Tensor | float, operation: Operation) -> torch.Tensor:
     if operation == "add":
         return value + drawn
-    if operation == "scale":
-        return value * drawn
-    return torch.zeros_like(value) + drawn
+    return value * drawn if operation == "scale" else torch.zeros_like(value) + drawn
 
 
 @dataclass

@@ -59,11 +59,9 @@ def terrain_out_of_bounds(
     terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
         return torch.zeros_like(position[:, 0], dtype=torch.bool)
-    beyond = [
-        position[:, axis].abs() > 0.5 * count * terrain.size[axis] + terrain.border_width - distance_buffer
-        for axis, count in enumerate(terrain.terrain_origins.shape[:2])
-    ]
-    return beyond[0] | beyond[1]
+    counts, room = terrain.terrain_origins.shape, terrain.border_width
+    x, y = (position[:, i].abs() > 0.5 * counts[i] * terrain.size[i] + room - distance_buffer for i in (0, 1))
+    return x | y
 
 
 def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -100,9 +98,8 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        self._stayed = torch.full(
-            (env.num_envs,), -1, device=env.device
-        )  # control steps; -1 at the start of an episode
+        # The number of control steps in one place; -1 at the start of an episode.
+        self._stayed = torch.full((env.num_envs,), -1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:
         position = env.scene[self._asset].data.root_pos_w[:, :2]

@@ -13,18 +13,8 @@ from typing import Any, Literal
 import rerun.blueprint as rrb
 
 from wheelleg_exp.definitions import EPISODE_REWARD, curve_title
-from wheelleg_exp.recording.layout import (
-    DOCUMENTS,
-    GROUND,
-    OVERLAY,
-    SIM_TIME,
-    STEP,
-    TRAINING,
-    WORLD,
-    EnvPaths,
-    join,
-    join_key,
-)
+from wheelleg_exp.recording import layout
+from wheelleg_exp.recording.layout import DOCUMENTS, TRAINING, EnvPaths, join, join_key
 
 Purpose = Literal["training", "play", "evaluation"]
 FIGURES = "figures"  # The recorded text `figures` contains the measured metrics.
@@ -75,31 +65,29 @@ def blueprint(
         texts = [rrb.TextDocumentView(origin=join(DOCUMENTS, name), name=name) for name in documents]
         tabs.append(rrb.Tabs(*texts, name="Documents", active_tab=0))
     return rrb.Blueprint(
-        rrb.Horizontal(robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
+        rrb.Horizontal(_robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         # The learning curves and the motion of a training have only the timeline of control steps in common.
-        rrb.TimePanel(state="collapsed", timeline=STEP if purpose == "training" else SIM_TIME),
+        rrb.TimePanel(state="collapsed", timeline=layout.STEP if purpose == "training" else layout.SIM_TIME),
     )
 
 
-def robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
+def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
     """Return the 3D view, in which the camera follows the first robot and colliders are hidden."""
-    first = envs[0]
-    distance = first.size * (1.0 + 0.6 * (len(envs) - 1))
+    size, root = envs[0].size, envs[0].root
+    distance = size * (1.0 + 0.6 * (len(envs) - 1))
+    position, target, up = [1.3 * distance, -1.45 * distance, 1.1 * distance], [0.0, 0.0, 0.4 * size], [0.0, 0.0, 1.0]
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up, tracking_entity=root
+    )
     return rrb.Spatial3DView(
         origin="/",
-        contents=[f"+ /{GROUND}/**", f"+ /{WORLD}/**", f"+ /{OVERLAY}/**"],
+        contents=[f"+ /{name}/**" for name in (layout.GROUND, layout.WORLD, layout.OVERLAY)],
         name="Robot",
         background=rrb.Background(color=_BACKGROUND),
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=[1.3 * distance, -1.45 * distance, 1.1 * distance],
-            look_target=[0.0, 0.0, 0.4 * first.size],
-            eye_up=[0.0, 0.0, 1.0],
-            tracking_entity=first.root,
-        ),
+        eye_controls=eye,
         overrides={env.paths.overlay("colliders"): rrb.EntityBehavior(visible=False) for env in envs},
     )
 
@@ -110,8 +98,8 @@ def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
     # Each joint has its own plot, because joints at distant positions would hide each other's tracking errors.
     for joint, is_held in env.joints.items():
         kind, unit = ("position", "rad") if is_held else ("velocity", "rad/s")
-        entities = [data("joints", joint, part) for part in (kind, f"{kind}_target")]
-        joints.append(_plot(f"{joint} {kind} ({unit})", *entities))
+        parts = (data("joints", joint, part) for part in (kind, f"{kind}_target"))
+        joints.append(_plot(f"{joint} {kind} ({unit})", *parts))
     efforts = _plot("Effort (N·m)", *(data("joints", joint, "effort") for joint in env.joints))
     tabs = [
         rrb.Vertical(*_motion_plots(env), name="Motion"),
@@ -129,20 +117,15 @@ def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
     tabs.append(rrb.Vertical(total, terms, row_shares=[1, 4], name="Rewards"))
     tabs.append(rrb.Vertical(marks, length, log, name="Episodes"))
     if env.observations:
-        groups = [
-            _small_plots({term: data("observations", group, term) for term in terms}, group)
-            for group, terms in env.observations.items()
-        ]
+        entities = {g: {t: data("observations", g, t) for t in terms} for g, terms in env.observations.items()}
+        groups = [_small_plots(plots, group) for group, plots in entities.items()]
         tabs.append(rrb.Tabs(*groups, name="Observations", active_tab=0))
     return [rrb.Tabs(*tabs, name=env.label, active_tab=0)] if several else tabs
 
 
 def _plot(name: str, *entities: str, legend: bool = True) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        name=name,
-        contents=[f"+ /{entity}" for entity in entities],
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
-    )
+    shown = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
+    return rrb.TimeSeriesView(name=name, contents=[f"+ /{entity}" for entity in entities], plot_legend=shown)
 
 
 def _small_plots(plots: Mapping[str, str], name: str | None = None) -> rrb.Grid:
@@ -155,18 +138,13 @@ def _columns(count: int) -> int:
 
 
 def _motion_plots(env: EnvLayout) -> list[Any]:
-    def base(name: str) -> str:
-        return env.paths.data("base", name)
-
-    forward, turning = [base("v_x")], [base("w_z")]
-    if env.command is not None:
-        forward.append(env.paths.data("commands", env.command, "v_x"))
-        turning.append(env.paths.data("commands", env.command, "w_z"))
+    height, roll, pitch, *speeds = (env.paths.data("base", n) for n in ("height", "roll", "pitch", "v_x", "w_z"))
+    asked = [] if env.command is None else [env.paths.data("commands", env.command, n) for n in ("v_x", "w_z")]
     return [
-        _plot("Base height (m)", base("height"), legend=False),
-        _plot("Roll and pitch (rad)", base("roll"), base("pitch")),
-        _plot("Forward velocity and command (m/s)", *forward),
-        _plot("Yaw rate and command (rad/s)", *turning),
+        _plot("Base height (m)", height, legend=False),
+        _plot("Roll and pitch (rad)", roll, pitch),
+        _plot("Forward velocity and command (m/s)", speeds[0], *asked[:1]),
+        _plot("Yaw rate and command (rad/s)", speeds[1], *asked[1:]),
     ]
 
 
@@ -179,9 +157,8 @@ def _training(keys: Sequence[str]) -> Any:
         return _plot("Learning", f"{TRAINING}/**")
     plots = [_plot(curve_title(key), join_key(TRAINING, key), legend=False) for key in _HEADLINES if key in keys]
     for group, title in _GROUPS.items():
-        members = [key for key in keys if key.startswith(f"{group}/") and key not in _HEADLINES]
-        if members:
-            plots.append(_plot(title, *(join_key(TRAINING, key) for key in members)))
+        members = [join_key(TRAINING, k) for k in keys if k.startswith(f"{group}/") and k not in _HEADLINES]
+        plots += [_plot(title, *members)] if members else []
     overview = rrb.Grid(*plots, grid_columns=_columns(len(plots)), name="Overview")
     tabs = [overview, *(_small_plots(entities, name) for name, entities in groups.items())]
     return rrb.Tabs(*tabs, name="Learning", active_tab=0)

@@ -36,21 +36,17 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     for role, groups in agent["obs_groups"].items():
         for group in groups:
             if group not in observations:
-                raise ConfigError(
-                    f"there is no observation group '{group}'",
-                    key=f"agent.obs_groups.{role}",
-                    expected="some of " + ", ".join(observations.keys()),
-                    nearest=nearest_name(group, observations.keys()),
-                )
+                expected = "some of " + ", ".join(observations.keys())
+                message, nearest = f"there is no observation group '{group}'", nearest_name(group, observations.keys())
+                raise ConfigError(message, key=f"agent.obs_groups.{role}", expected=expected, nearest=nearest)
             found = observations[group]
             if not isinstance(found, torch.Tensor) or found.ndim != 2:
                 name = "flatten_history_dim" if isinstance(found, torch.Tensor) else "concatenate_terms"
                 message, key = "a network takes one flat vector a group", f"env.observations.{group}.{name}"
                 raise ConfigError(message, key=key, expected=f"{name}: true")
     if env.num_actions == 0:
-        raise ConfigError(
-            "the environment has no actions to learn", key="env.actions", expected="at least one action term"
-        )
+        message = "the environment has no actions to learn"
+        raise ConfigError(message, key="env.actions", expected="at least one action term")
     _require_device(str(agent["device"]))
     require_agent(agent, env.num_envs)
     if torch.device(agent["device"]).type == "cpu":
@@ -66,11 +62,8 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
             kind = resolve_callable(config["algorithm"]["class_name"])
             algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
     except Exception as error:  # User-defined classes of networks can raise any error.
-        raise ConfigError(
-            f"rsl_rl rejects the agent section: {in_words(error).splitlines()[0]}",
-            key="agent",
-            expected="rsl_rl's own configuration",
-        ) from error
+        message = f"rsl_rl rejects the agent section: {in_words(error).splitlines()[0]}"
+        raise ConfigError(message, key="agent", expected="rsl_rl's own configuration") from error
     replace_mirror_loss(algorithm)
     return algorithm
 
@@ -81,11 +74,9 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | 
     if options is None or not options.mirrored_envs:
         return None
     if env.num_envs < 2:
-        message, key = (
-            "the mirror applies to every second environment, and there is only one",
-            "agent.symmetry.mirrored_envs",
-        )
-        raise ConfigError(message, key=key, expected="false, or env.num_envs of at least 2")
+        message = "the mirror applies to every second environment, and there is only one"
+        expected = "false, or env.num_envs of at least 2"
+        raise ConfigError(message, key="agent.symmetry.mirrored_envs", expected=expected)
     groups = _seen(agent, env.get_observations(), options)
     return MirroredHalf(Mirror(env.env, options, groups, env.device), env.num_envs)
 
@@ -122,9 +113,7 @@ def _require_device(name: str) -> None:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         known = re.match(r"Expected one of (.+) device type", reason)
-        raise ConfigError(
-            f"torch cannot use '{name}'" + ("" if known else f": {reason}"),
-            key="agent.device",
-            expected="cpu, or a device that this torch and this machine have",
-            nearest=nearest_name("cuda" if name == "gpu" else name, known.group(1).split(", ")) if known else None,
-        ) from error
+        message = f"torch cannot use '{name}'" + ("" if known else f": {reason}")
+        expected = "cpu, or a device that this torch and this machine have"
+        nearest = nearest_name("cuda" if name == "gpu" else name, known.group(1).split(", ")) if known else None
+        raise ConfigError(message, key="agent.device", expected=expected, nearest=nearest) from error

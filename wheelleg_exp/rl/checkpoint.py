@@ -40,9 +40,8 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     A file that is missing, damaged, or not a checkpoint of this program raises RunDirectoryError.
     """
     if not path.is_file():
-        raise RunDirectoryError(
-            "the checkpoint does not exist", key=str(path), expected="a model_<iteration>.pt of a run"
-        )
+        message = "the checkpoint does not exist"
+        raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run")
     try:
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
@@ -50,8 +49,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
         # Raise ValueError for a tree that is too large or too deep, or for tensors that are larger than the file.
-        size = path.stat().st_size
-        waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
+        waiting, parts, room = [(state, 0)], 0, _TIMES * path.stat().st_size + (1 << 20)
         while waiting:
             value, depth = waiting.pop()
             parts += 1
@@ -90,20 +88,17 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
         for name, value in network.items() if isinstance(network, Mapping) else ():
             if isinstance(value, torch.Tensor) and (bad := int((~value.isfinite()).sum())):
                 where = f"{key.removesuffix('_state_dict')}.{name}"
-                raise RunDirectoryError(
-                    f"{bad} of the {value.numel()} numbers of {where} are NaN or inf",
-                    key=str(path),
-                    expected="a checkpoint with finite parameters, perhaps an earlier one of this run",
-                )
+                message = f"{bad} of the {value.numel()} numbers of {where} are NaN or inf"
+                expected = "a checkpoint with finite parameters, perhaps an earlier one of this run"
+                raise RunDirectoryError(message, key=str(path), expected=expected)
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:
     """Raise RunDirectoryError if the networks can be played, but the training cannot be resumed."""
     if state["format_version"] != FORMAT_VERSION:
-        raise RunDirectoryError(
-            f"the checkpoint has format version {state['format_version']}: it can be played, not resumed",
-            expected=f"version {FORMAT_VERSION}, which holds all that a training depends on",
-        )
+        message = f"the checkpoint has format version {state['format_version']}: it can be played, not resumed"
+        expected = f"version {FORMAT_VERSION}, which holds all that a training depends on"
+        raise RunDirectoryError(message, expected=expected)
 
 
 def _rebuilt(value: Any) -> Any:
@@ -117,9 +112,7 @@ def _rebuilt(value: Any) -> Any:
         return {_rebuilt(key): _rebuilt(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return type(value)(_rebuilt(item) for item in value)
-    if isinstance(value, str):
-        return sys.intern(value)
-    return value
+    return sys.intern(value) if isinstance(value, str) else value
 
 
 def roles_of(algorithm: Any) -> tuple[str, ...]:
@@ -134,10 +127,8 @@ def policy_state(state: Mapping[str, Any]) -> Any:
 
 def unsaved_state(algorithm: Any) -> dict[str, Any]:
     """Return state that rsl_rl does not save: hidden states, the state of RND, the progress of a distillation."""
-    state: dict[str, Any] = {
-        "learning_rate": float(algorithm.learning_rate),
-        "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)},
-    }
+    hidden = {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)}
+    state: dict[str, Any] = {"learning_rate": float(algorithm.learning_rate), "hidden": hidden}
     if hasattr(algorithm, "student"):
         state["distillation"] = {"updates": algorithm.num_updates, "hidden": cloned(algorithm.last_hidden_states)}
     if getattr(algorithm, "rnd", None) is not None:

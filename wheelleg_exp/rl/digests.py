@@ -47,10 +47,8 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
     """Merge the digests of the first rank with those of the other ranks, part by part."""
     if not others:
         return dict(first)
-    return {
-        name: tree_digest([digest, *(one[name] for one in others)]) if name in others[0] else digest
-        for name, digest in first.items()
-    }
+    merged = {name: [first[name], *(one[name] for one in others)] for name in first.keys() & others[0].keys()}
+    return {name: tree_digest(merged[name]) if name in merged else digest for name, digest in first.items()}
 
 
 def tree_digest(tree: Any) -> str:
@@ -76,13 +74,10 @@ def _parts(state: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 def _part_of(key: str) -> str:
     known = {"env": "environment", "streams": "streams", "rng": "streams", "log": "log"}
-    if key in known:
-        return known[key]
-    if key == STATE:
-        return "mean"
-    if key.endswith("_state_dict"):
-        return "optimizer" if "optimizer" in key else "parameters"
-    return "rest"
+    if key in known or key == STATE:
+        return known.get(key, "mean")
+    kind = "optimizer" if "optimizer" in key else "parameters"
+    return kind if key.endswith("_state_dict") else "rest"
 
 
 def _update(digest: _Hash, path: str, value: Any) -> None:

@@ -36,23 +36,15 @@ def torchscript(policy: MLPModel) -> bytes:
 def onnx(policy: MLPModel) -> bytes:
     """Return the deterministic policy as one ONNX file that takes any batch size."""
     model = policy.as_onnx(verbose=False).eval()
-    inputs, outputs = model.input_names, model.output_names
-    file = io.BytesIO()
+    names = {"input_names": model.input_names, "output_names": model.output_names}
+    axes = {name: {0: "batch"} for name in (*model.input_names, *model.output_names)}
+    file: Any = io.BytesIO()
+    # Use the tracing exporter: torch.export takes two seconds and caches data for every batch size.
+    settings: dict[str, Any] = {"opset_version": _OPSET, "dynamo": False, "verbose": False}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # Use the tracing exporter: torch.export takes two seconds and caches data for every batch size.
-        torch.onnx.export(
-            model,
-            model.get_dummy_inputs(),
-            file,  # type: ignore[arg-type]
-            input_names=inputs,
-            output_names=outputs,
-            dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
-            opset_version=_OPSET,
-            dynamo=False,
-            verbose=False,
-        )
-    return file.getvalue()
+        torch.onnx.export(model, model.get_dummy_inputs(), file, **names, dynamic_axes=axes, **settings)
+    return bytes(file.getvalue())
 
 
 def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int) -> str:
@@ -69,8 +61,7 @@ def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int
         offset += sum(shape[-1] for shape in env.observation_manager.group_obs_term_dim[group])
     start, actions = 0, []
     for name, width in zip(env.action_manager.active_terms, env.action_manager.action_term_dim, strict=True):
-        term = env.action_manager.get_term(name)
-        joints = getattr(term, "joint_names", [])
+        joints = getattr(env.action_manager.get_term(name), "joint_names", [])
         actions.append({"term": name, "start": start, "stop": start + width, "joints": list(joints)})
         start += width
     content = {

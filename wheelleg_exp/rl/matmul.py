@@ -42,20 +42,20 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
     networks, never by a measurement, so that each start makes the same decision. A precision that this machine lacks
     raises ConfigError.
     """
-    wanted = str(agent.get("matmul", "float32"))
-    why_not = _why_not(agent)
+    wanted, kind, why_not = str(agent.get("matmul", "float32")), str(agent["device"]).partition(":")[0], ""
+    if kind != "cpu":
+        why_not = f"agent.device is {agent['device']}"
+    elif agent.get("torch_compile_mode") is not None:
+        why_not = "agent.torch_compile_mode compiles the networks"
     if wanted == "bfloat16" and why_not:
         raise ConfigError(f"bfloat16 is for CPUs, and {why_not}", key=KEY, expected="auto or float32")
-    on_gpu = _kind(agent) == "cuda"
+    on_gpu = kind == "cuda"
     if wanted == "tf32" and not on_gpu:
-        raise ConfigError(
-            f"tf32 is for GPUs, and agent.device is {agent['device']}", key=KEY, expected="auto or float32"
-        )
-    if wanted == "auto" and on_gpu:
-        return "tf32"
-    if wanted == "auto":
-        return "bfloat16" if not why_not and has_units() else "float32"
-    return wanted
+        message = f"tf32 is for GPUs, and agent.device is {agent['device']}"
+        raise ConfigError(message, key=KEY, expected="auto or float32")
+    if wanted != "auto" or on_gpu:
+        return "tf32" if wanted == "auto" else wanted
+    return "bfloat16" if not why_not and has_units() else "float32"
 
 
 def has_units() -> bool:
@@ -72,18 +72,6 @@ def has_units() -> bool:
         return True
     vectors = tiles or most in _WITH_VECTORS or most.startswith("AVX10")
     return vectors and torch.cpu._is_avx512_bf16_supported() and not is_intel()
-
-
-def _kind(agent: Mapping[str, Any]) -> str:
-    return str(agent["device"]).partition(":")[0]
-
-
-def _why_not(agent: Mapping[str, Any]) -> str:
-    if _kind(agent) != "cpu":
-        return f"agent.device is {agent['device']}"
-    if agent.get("torch_compile_mode") is not None:
-        return "agent.torch_compile_mode compiles the networks"
-    return ""
 
 
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
@@ -170,8 +158,7 @@ def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bo
     The input (..., I) is float32 or bfloat16. The bias (O,) is added in float32. With ``elu``, ELU with alpha 1
     follows: exp(y) - 1 where y is negative. The result is float32; after ELU it is bfloat16, for the next product.
     """
-    y = _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu)
-    return y.reshape(*x.shape[:-1], -1)
+    return _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
 
 
 class _Linear(torch.autograd.Function):
@@ -179,7 +166,14 @@ class _Linear(torch.autograd.Function):
     def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, elu: bool) -> torch.Tensor:
         low, factors = x.bfloat16(), weight.bfloat16()
         y = _multiply(low, factors.t())
-        y = _add_and_elu(y, bias) if elu else y + bias
+        if elu:
+            # Add the bias and apply ELU in place, in float32 and by blocks of rows that fit into a cache. The ELU of
+            # torch is not used, because its bits depend on how threads split a tensor; the bits of `exp` do not.
+            for rows in y.split(max(1, _BLOCK // y.shape[1])):
+                part = rows + bias
+                rows.copy_(torch.maximum(part, part.clamp(max=0).exp_().sub_(1), out=part))
+        else:
+            y = y + bias
         ctx.save_for_backward(low, factors, *([y] if elu else []))
         ctx.dtype = x.dtype
         return y
@@ -197,15 +191,3 @@ class _Linear(torch.autograd.Function):
 
 def _multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return torch.mm(a, b)
-
-
-def _add_and_elu(y: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
-    """Add the bias to (B, O) bfloat16 and apply ELU in place, in float32 and by blocks of rows that fit into a cache.
-
-    The ELU of torch is not used, because its bits depend on how threads split a tensor. The bits of ``exp`` do not
-    depend on threads.
-    """
-    for rows in y.split(max(1, _BLOCK // y.shape[1])):
-        part = rows + bias
-        rows.copy_(torch.maximum(part, part.clamp(max=0).exp_().sub_(1), out=part))
-    return y

@@ -111,8 +111,7 @@ class BodyImages:
         turn, origin = data.xmat[ids[0]].reshape(3, 3), data.xpos[ids[0]]
         self._places = (data.xpos[ids] - origin) @ turn
         self._frames = turn.T @ data.xmat[ids].reshape(-1, 3, 3)
-        size = float(np.abs(self._places).max()) or 1.0
-        self._far = _MAX_BODY_DISTANCE * size
+        self._far = _MAX_BODY_DISTANCE * (float(np.abs(self._places).max()) or 1.0)
         number = {body: i for i, body in enumerate(ids)}
         moved = [number[int(model.jnt_bodyid[model.joint(name).id])] for name in joint_names]
         self._images: list[int | None] = [None] * len(ids)
@@ -122,7 +121,11 @@ class BodyImages:
         parents = [number.get(int(model.body_parentid[body])) for body in ids]
         for body in sorted(range(len(ids)), key=lambda i: ids[i]):
             if self._images[body] is None:
-                self._images[body] = self._by_place(body, parents)
+                # The image is the nearest body to the mirrored place, below the image of the parent.
+                above = None if (parent := parents[body]) is None else self._images[parent]
+                others = [i for i, other in enumerate(parents) if above is not None and other == above]
+                apart = np.linalg.norm(self._places[others] - MIRROR @ self._places[body], axis=1)
+                self._images[body] = others[int(apart.argmin())] if others else None
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
         """Return the name of a body's image; ConfigError for the config key ``key`` if the body has no image.
@@ -137,16 +140,6 @@ class BodyImages:
             raise ConfigError(message, key=key, expected="bodies of both sides, or in the middle")
         turned = MIRROR @ self._frames[body] @ MIRROR
         if with_axes and np.abs(turned - self._frames[image]).max() > _MAX_FRAME_ERROR:
-            raise ConfigError(
-                f"the axes of the body '{name}' are not mirror images of those of '{self.names[image]}'",
-                key=key,
-                expected="bodies whose frames are images, or a rule of your own",
-            )
+            message = f"the axes of the body '{name}' are not mirror images of those of '{self.names[image]}'"
+            raise ConfigError(message, key=key, expected="bodies whose frames are images, or a rule of your own")
         return self.names[image]
-
-    def _by_place(self, body: int, parents: Sequence[int | None]) -> int | None:
-        parent = parents[body]
-        above = None if parent is None else self._images[parent]
-        others = [i for i, other in enumerate(parents) if above is not None and other == above]
-        wanted = MIRROR @ self._places[body]
-        return min(others, key=lambda i: float(np.linalg.norm(self._places[i] - wanted)), default=None)

@@ -43,7 +43,7 @@ IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quatern
 COMMAND_RULE = "command"  # The rule of the observed command replaces this entry.
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
-_OBSERVATIONS = "wheelleg_exp.mdp.observations"
+OBSERVATIONS = "wheelleg_exp.mdp.observations"
 # The rules of stock observations by the name of their function.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
@@ -80,12 +80,6 @@ COMMAND_RULES: Mapping[str, str] = {
     "UniformPoseCommand": "pose",
     "NullCommand": "invariant",
 }
-
-
-def rule_of_target(target: str) -> str | None:
-    """Return the rule of a stock observation by its dotted name, or None."""
-    module, _, name = target.rpartition(".")
-    return TERM_RULES.get(name) if f"{module}.".startswith(f"{_OBSERVATIONS}.") else None
 
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
@@ -134,9 +128,8 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
     signs = np.round(mirrored)
     if np.abs(mirrored - signs).max() > _MAX_SIGN_ERROR or (kind == "quaternion" and np.abs(signs - MIRROR).max() > 0):
         expected = "axes along the body's" if kind != "quaternion" else "a turn about y, or none"
-        raise ConfigError(
-            "the IMU's axes are not their own mirror image", key=f"{sensor.key}.offset.rot", expected=expected
-        )
+        message = "the IMU's axes are not their own mirror image"
+        raise ConfigError(message, key=f"{sensor.key}.offset.rot", expected=expected)
     if kind == "quaternion":
         return [(0, 1.0), (1, -1.0), (2, 1.0), (3, -1.0)]
     sign = -1.0 if kind == "pseudovector" else 1.0
@@ -153,6 +146,10 @@ def _require_own_image(name: str, bodies: BodyImages, key: str) -> None:
 
 Rule = str | Sequence[float]
 _MAX_PHASE_ERROR = 1e-6  # of a cycle
+_OFFSETS = (
+    "offsets of both sides, such as [0.0, 0.5]; or agent.symmetry.terms with 'invariant' for legs that move together, "
+    "or a list of a sign for each number"
+)
 
 
 class TermMirror:
@@ -179,7 +176,13 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            return self._phases(term, path)
+            # The image is the clock half a cycle later, if this exchanges the legs of both sides.
+            offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
+            for offset in offsets:
+                if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:
+                    message = f"the clock at {offset:g} of the cycle has no counterpart half a cycle later"
+                    raise ConfigError(message, key=f"{path}.offsets", expected=_OFFSETS)
+            return [(i, -1.0) for i in range(term.width)]
         if rule == "actions":
             manager, name = self._env.action_manager, term.term.params.get("action_name")
             if name is None:
@@ -198,15 +201,10 @@ class TermMirror:
         ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
         for joint in ids:
             if self._images[joint] not in ids:
-                raise ConfigError(
-                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
-                    key=path,
-                    expected="joints of both sides",
-                )
+                message = f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not"
+                raise ConfigError(message, key=path, expected="joints of both sides")
         joints = [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
-        if rule == "joints_sin_cos":
-            return joints + [(len(joints) + source, 1.0) for source, _ in joints]
-        return joints
+        return joints + [(len(ids) + source, 1.0) for source, _ in joints if rule == "joints_sin_cos"]
 
     def command(self, term: ObservationTerm) -> str | None:
         """Return the rule of the command that a term observes."""
@@ -226,37 +224,20 @@ class TermMirror:
     def _entity(self, term: ObservationTerm, parameter: str) -> Any:
         found = term.term.params.get(parameter)
         if found is None:
-            raise ConfigError(
-                f"the observation has no {parameter}", key=term.term.path, expected="a parameter that names the sensor"
-            )
+            message = f"the observation has no {parameter}"
+            raise ConfigError(message, key=term.term.path, expected="a parameter that names the sensor")
         return found
-
-    def _phases(self, term: ObservationTerm, path: str) -> SignedSources:
-        """Return the clock half a cycle later, if this exchanges the legs of both sides."""
-        offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
-        for offset in offsets:
-            apart = [abs((offset + 0.5 - other + 0.5) % 1.0 - 0.5) for other in offsets]
-            if min(apart) > _MAX_PHASE_ERROR:
-                raise ConfigError(
-                    f"the clock at {offset:g} of the cycle has no counterpart half a cycle later",
-                    key=f"{path}.offsets",
-                    expected="offsets of both sides, such as [0.0, 0.5]; or agent.symmetry.terms with 'invariant' for"
-                    " legs that move together, or a list of a sign for each number",
-                )
-        return [(i, -1.0) for i in range(term.width)]
 
     def _bodies_of(self, rule: str, term: ObservationTerm, path: str) -> SignedSources:
         signs, parameter, with_axes = BODY_RULES[rule]
         entity = self._entity(term, parameter)
-        owner = self._env.scene[entity.name]
-        names = _chosen(entity.body_ids, owner.body_names)
+        names = _chosen(entity.body_ids, self._env.scene[entity.name].body_names)
         found: SignedSources = []
         for name in names:
             image = self._bodies.image(name, path, with_axes=with_axes)
             if image not in names:
-                raise ConfigError(
-                    f"'{name}' is observed, and its image '{image}' is not", key=path, expected="bodies of both sides"
-                )
+                message = f"'{name}' is observed, and its image '{image}' is not"
+                raise ConfigError(message, key=path, expected="bodies of both sides")
             first = names.index(image) * len(signs)
             found += [(first + i, float(sign)) for i, sign in enumerate(signs)]
         return found

@@ -33,11 +33,9 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
     try:
         algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
     except RuntimeError as error:
-        raise ConfigError(
-            "the teacher's network does not fit the networks of this checkpoint",
-            key="agent.teacher_checkpoint",
-            expected="agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained",
-        ) from error
+        message = "the teacher's network does not fit the networks of this checkpoint"
+        expected = "agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained"
+        raise ConfigError(message, key="agent.teacher_checkpoint", expected=expected) from error
 
 
 def load_initial(algorithm: Any, initial: Initial) -> None:
@@ -54,19 +52,14 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
         if name is not None:
             wrong.append(f"the {role}'s {name} is {has.get(name, 'absent')} there and {needs.get(name, 'absent')} here")
     if wrong:
-        raise ConfigError(
-            f"the networks of '{whose}' do not fit: {'; '.join(wrong)}",
-            key="init_from",
-            expected="the observations, actions and networks that it was trained with, or null",
-        )
+        key, expected = "init_from", "the observations, actions and networks that it was trained with, or null"
+        raise ConfigError(f"the networks of '{whose}' do not fit: {'; '.join(wrong)}", key=key, expected=expected)
     try:
         algorithm.load(dict(initial.state), dict.fromkeys(initial.parts, True), True)
     except (RuntimeError, LookupError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}",
-            key="init_from_what",
-            expected="networks, or the algorithm and the optimiser that it was trained with",
-        ) from error
+        message = f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}"
+        expected = "networks, or the algorithm and the optimiser that it was trained with"
+        raise ConfigError(message, key="init_from_what", expected=expected) from error
 
 
 def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
@@ -79,10 +72,8 @@ def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPMo
     try:
         policy.load_state_dict(checkpoint.policy_state(state))
     except (RuntimeError, TypeError, AttributeError) as error:
-        raise RunDirectoryError(
-            "the policy does not fit this environment's observations and actions",
-            key=str(path),
-            expected="the observations, actions and networks that it was trained with",
-        ) from error
+        message = "the policy does not fit this environment's observations and actions"
+        expected = "the observations, actions and networks that it was trained with"
+        raise RunDirectoryError(message, key=str(path), expected=expected) from error
     policy.eval()
     return policy

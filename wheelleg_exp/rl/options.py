@@ -7,19 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from wheelleg_exp.constraints import (
-    Above,
-    AtLeast,
-    AtMost,
-    Count,
-    MayBeInfinite,
-    Natural,
-    NonNegative,
-    NotEmpty,
-    Positive,
-    Rising,
-    Share,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Count, Natural, NonNegative, NotEmpty, Positive, Rising
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.terms.config_sections import Section, section_errors
 from wheelleg_exp.terms.config_values import value_errors
@@ -66,7 +55,7 @@ class Learning:
     save_interval: Count
     obs_groups: dict[str, list[str]]
     device: str
-    torch_threads: Annotated[int, AtLeast(1), AtMost(1024)]
+    torch_threads: Annotated[int, constraints.AtLeast(1), constraints.AtMost(1024)]
     clip_actions: Positive | None = None
     logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
@@ -111,12 +100,12 @@ PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,
     "clip_param": Positive,
-    "gamma": Share,
-    "lam": Share,
+    "gamma": constraints.Share,
+    "lam": constraints.Share,
     "value_loss_coef": NonNegative,
     "entropy_coef": NonNegative,
     "learning_rate": Positive,
-    "max_grad_norm": Annotated[float, Above(0), MayBeInfinite()] | None,
+    "max_grad_norm": Annotated[float, constraints.Above(0), constraints.MayBeInfinite()] | None,
     "schedule": Literal["fixed", "adaptive"],
     "desired_kl": Positive | None,
     "grad_reduce_bucket_mb": Positive,

@@ -38,10 +38,7 @@ class PolicyAverage:
         self._count += 1
         share = 1.0 / min(self._count, self._iterations)
         for name, value in now.items():
-            if value.is_floating_point():
-                self._mean[name].lerp_(value, share)
-            else:
-                self._mean[name].copy_(value)
+            self._mean[name].lerp_(value, share) if value.is_floating_point() else self._mean[name].copy_(value)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the mean as a part of a checkpoint; an empty dictionary before the first update."""

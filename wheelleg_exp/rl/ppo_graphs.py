@@ -42,17 +42,14 @@ def is_plain_ppo(algorithm: Any) -> bool:
     return not (extras or others or compiled)
 
 
-def captured_ppo(algorithm: Any) -> Any:
-    """Return an object that acts and updates as the algorithm does, with CUDA graphs where possible."""
-    return CapturedPPO(algorithm) if can_capture_update(algorithm) else algorithm
-
-
 class CapturedPPO:
     """Acting and updating of rsl_rl's PPO as CUDA graphs."""
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
-        self.act = CapturedActing(algorithm) if can_capture_acting(algorithm) else algorithm.act
+        # Only actions that are drawn from normal distributions can be captured.
+        is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
+        self.act = CapturedActing(algorithm) if is_normal else algorithm.act
 
 
 class CapturedUpdate:
@@ -100,7 +97,19 @@ class CapturedUpdate:
             for parameter, state in optimizer.state.items():
                 if isinstance(state.get("step"), torch.Tensor):
                     state["step"] = state["step"].to(parameter.device)
-        self._minibatches(order)
+        if self._stream is None:
+            self._each(order, self._minibatch)
+        elif self._ran:
+            if self._graph is None or self._captured != self._memory():
+                self._capture(order)
+            self._each(order, self._graph.replay)
+        else:
+            # Run on the stream of the capture, because torch accumulates gradients on the stream of their first use.
+            self._stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(self._stream):
+                self._each(order, self._minibatch)
+            torch.cuda.current_stream().wait_stream(self._stream)
+            self._ran = True
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
             # Update the running means and deviations of a network's observations, in the memory that the graph reads.
@@ -119,21 +128,6 @@ class CapturedUpdate:
         storage.clear()
         updates = algorithm.num_learning_epochs * count
         return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
-
-    def _minibatches(self, order: torch.Tensor) -> None:
-        if self._stream is None:
-            self._each(order, self._minibatch)
-        elif self._ran:
-            if self._graph is None or self._captured != self._memory():
-                self._capture(order)
-            self._each(order, self._graph.replay)
-        else:
-            # Run on the stream of the capture, because torch accumulates gradients on the stream of their first use.
-            self._stream.wait_stream(torch.cuda.current_stream())
-            with torch.cuda.stream(self._stream):
-                self._each(order, self._minibatch)
-            torch.cuda.current_stream().wait_stream(self._stream)
-            self._ran = True
 
     def _each(self, order: torch.Tensor, work: Any) -> None:
         for _ in range(self._algorithm.num_learning_epochs):
@@ -161,10 +155,8 @@ class CapturedUpdate:
     def _minibatch(self) -> None:
         algorithm, storage, rows = self._algorithm, self._algorithm.storage, self._rows
         observations = storage.observations.flatten(0, 1)[rows]
-        actions, old_values, returns, old_log_prob, advantages = (
-            values.flatten(0, 1)[rows]
-            for values in (storage.actions, storage.values, storage.returns, storage.actions_log_prob, self._advantages)
-        )
+        taken = (storage.actions, storage.values, storage.returns, storage.actions_log_prob, self._advantages)
+        actions, old_values, returns, old_log_prob, advantages = (v.flatten(0, 1)[rows] for v in taken)
         old_params = tuple(values.flatten(0, 1)[rows] for values in storage.distribution_params or ())
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
@@ -214,11 +206,6 @@ class CapturedUpdate:
         clip = self._algorithm.clip_param
         clipped = old + (values - old).clamp(-clip, clip)
         return torch.max(error, (clipped - returns).pow(2)).mean()
-
-
-def can_capture_acting(algorithm: Any) -> bool:
-    """Return whether an algorithm whose update can be captured draws actions from normal distributions."""
-    return getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
 
 
 class CapturedActing:
@@ -273,12 +260,9 @@ class CapturedActing:
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         mean, deviation = actor.output_mean, actor.output_std
         actions = mean + deviation * torch.randn_like(mean)
-        return {
-            "actions": actions,
-            "values": self._algorithm.critic(observations),
-            "actions_log_prob": actor.get_output_log_prob(actions),
-            "distribution_params": tuple(actor.output_distribution_params),
-        }
+        found = {"actions": actions, "values": self._algorithm.critic(observations)}
+        found["actions_log_prob"] = actor.get_output_log_prob(actions)
+        return {**found, "distribution_params": tuple(actor.output_distribution_params)}
 
     def _memory(self) -> tuple[int, ...]:
         networks = (self._algorithm.actor, self._algorithm.critic)

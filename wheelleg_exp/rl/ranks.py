@@ -13,7 +13,7 @@ import json
 import os
 import socket
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -69,11 +69,9 @@ def is_communication(error: BaseException) -> bool:
 
 def left() -> Left:
     """Return the error for a rank that lost another rank."""
-    return Left(
-        "another process of the training has ended",
-        key=f"rank {os.environ.get('RANK', '0')}",
-        expected="all processes to continue; the first one to end reports why, or torchrun's table names the signal",
-    )
+    message = "another process of the training has ended"
+    expected = "all processes to continue; the first one to end reports why, or torchrun's table names the signal"
+    return Left(message, key=f"rank {os.environ.get('RANK', '0')}", expected=expected)
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
@@ -82,15 +80,6 @@ def error_facts(error: WheellegError | None) -> dict[str, str | None]:
         return {}
     facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
     return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
-
-
-def error_from_facts(rank: int, received: Mapping[str, str | None], evidence: Mapping[str, Any]) -> WheellegError:
-    """Return the error of another rank from its ``error_facts`` and the arrays that describe the failure."""
-    fields = {name: received[name] for name in ("key", "where", "expected", "nearest")}
-    message = f"{received['message']} [in process {rank}]"
-    if received["failed"]:
-        return SimulationFailure(message, evidence=evidence, **fields)
-    return ConfigError(message, **fields)
 
 
 # The timeout must cover a rank that converts a robot or compiles kernels while all other ranks wait.
@@ -143,11 +132,8 @@ class Ranks:
         if number not in ("", "0"):
             raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
         if self.local >= torch.cuda.device_count():
-            raise ConfigError(
-                f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs",
-                key=key,
-                expected="as many GPUs as torchrun's --nproc-per-node",
-            )
+            message = f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs"
+            raise ConfigError(message, key=key, expected="as many GPUs as torchrun's --nproc-per-node")
         return f"cuda:{self.local}"
 
     def for_rsl_rl(self) -> dict[str, int] | None:
@@ -158,8 +144,7 @@ class Ranks:
         """Return the manifest's entry about the ranks: number, backend, and the seed, device, and host of each."""
         if not self.together:
             return None
-        own = self.config(config)
-        device = str(own["agent"]["device"])
+        device = str(self.config(config)["agent"]["device"])
         mine = {"seed": self.seed(int(config["seed"])), "device": device, "host": socket.gethostname()}
         each = self.tell_all(mine)
         backend = "nccl" if device.startswith("cuda") else "gloo"
@@ -228,7 +213,15 @@ class Ranks:
             keeps = self.said_by_first(bool(found.get("evidence")))
             if not self.first:
                 raise FirstRankFailed(keeps) from mine
-            raise mine or error_from_facts(rank, found["error"], found["evidence"])
+            if mine is not None:
+                raise mine
+            facts = dict(found["error"])
+            message, failed = f"{facts.pop('message')} [in process {rank}]", facts.pop("failed")
+            raise (
+                SimulationFailure(message, evidence=found["evidence"], **facts)
+                if failed
+                else ConfigError(message, **facts)
+            )
 
     def require_equal(self, values: Mapping[str, str]) -> None:
         """Raise ConfigError if digests, given by name, differ between ranks."""
@@ -252,8 +245,12 @@ class Ranks:
         received = self.tell_all(dict(scalars))
         if not self.first:
             return dict(scalars)
-        keys = dict.fromkeys(key for one in received for key in one)
-        return {key: _put_together(key, times)([one[key] for one in received if key in one]) for key in keys}
+        found = {}
+        for key in dict.fromkeys(key for one in received for key in one):
+            values = [one[key] for one in received if key in one]
+            is_count = key.startswith(SCALAR) or key == "Perf/total_fps"
+            found[key] = max(values) if key in times else sum(values) / (1 if is_count else len(values))
+        return found
 
 
 ALONE = Ranks()
@@ -268,29 +265,18 @@ def joined() -> Iterator[Ranks]:
         return
     missing = [name for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT") if name not in os.environ]
     if missing:
-        raise ConfigError(
-            f"torchrun announces {size} processes, but {missing[0]} is not set",
-            key="WORLD_SIZE",
-            expected="the variables that torchrun sets; or unset it to train with one process",
-        )
+        message = f"torchrun announces {size} processes, but {missing[0]} is not set"
+        expected = "the variables that torchrun sets; or unset it to train with one process"
+        raise ConfigError(message, key="WORLD_SIZE", expected=expected)
     ranks = Ranks(number("RANK", 0), size, number("LOCAL_RANK", 0), number("LOCAL_WORLD_SIZE", size))
     gpus = torch.cuda.is_available() and dist.is_nccl_available()
+    backend = "cpu:gloo,cuda:nccl" if gpus else "gloo"
     with communicating():
-        dist.init_process_group(
-            "cpu:gloo,cuda:nccl" if gpus else "gloo", rank=ranks.rank, world_size=size, timeout=_PATIENCE
-        )
+        dist.init_process_group(backend, rank=ranks.rank, world_size=size, timeout=_PATIENCE)
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
     dist.destroy_process_group()  # After an error, destroy_process_group would wait for dead ranks.
-
-
-def _put_together(key: str, times: Sequence[str]) -> Callable[[list[float]], float]:
-    if key in times:
-        return max
-    if key.startswith(SCALAR) or key == "Perf/total_fps":
-        return sum
-    return lambda values: sum(values) / len(values)
 
 
 OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")

@@ -43,12 +43,9 @@ class FailureCount:
         if self.episodes > self._allowed:
             key, count = self.by_key.most_common(1)[0]
             others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
-            raise SimulationFailure(
-                f"numbers of this key were not finite and ended {count} episodes{others} {when}",
-                key=key,
-                expected=f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)",
-                evidence=self._evidence,
-            )
+            message = f"numbers of this key were not finite and ended {count} episodes{others} {when}"
+            expected = f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)"
+            raise SimulationFailure(message, key=key, expected=expected, evidence=self._evidence)
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, int]:
@@ -110,14 +107,10 @@ class EpisodeLog:
     def state_dict(self) -> dict[str, Any]:
         """Return running sums, the last episodes, and reports that were not collected yet."""
         self._take_pending()
-        return {
-            "return": self._return.clone(),
-            "length": self._length.clone(),
-            "returns": list(self._returns),
-            "lengths": list(self._lengths),
-            "values": {key: list(values) for key, values in self._values.items()},
-            "non_finite": dict(self._non_finite),
-        }
+        ended = {"returns": list(self._returns), "lengths": list(self._lengths)}
+        values = {key: list(values) for key, values in self._values.items()}
+        running = {"return": self._return.clone(), "length": self._length.clone()}
+        return {**running, **ended, "values": values, "non_finite": dict(self._non_finite)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -161,20 +154,16 @@ class StepMeans:
     def take(self) -> None:
         """Add the last step of the environment."""
         for key, rows in self._rows():
-            if key in self._sums:
-                self._sums[key] += rows
-            else:
-                self._sums[key] = rows.double()
+            self._sums[key] = self._sums[key].add_(rows) if key in self._sums else rows.double()
         self._steps += 1
 
     def collect(self) -> dict[str, float]:
         """Return the means over steps and environments since the last call, and clear the sums."""
+        scalars = {}
         with one_thread():
-            scalars = {
-                f"{head}/{name}": value / self._steps
-                for (head, names), sums in self._sums.items()
-                for name, value in zip(names, sums.mean(dim=1).tolist(), strict=True)
-            }
+            for (head, names), sums in self._sums.items():
+                values = sums.mean(dim=1).tolist()
+                scalars |= {f"{head}/{n}": value / self._steps for n, value in zip(names, values, strict=True)}
         self._sums.clear()
         self._steps = 0
         return scalars

@@ -14,7 +14,6 @@ from torch import nn
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.managers import ActionTerm
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.rl import mirror_rules
 from wheelleg_exp.rl.mirror_pairs import JOINT_PAIRS_KEY, joint_images, joint_signs
@@ -47,7 +46,6 @@ class Mirror:
         robot = env.scene.robot
         self._images = joint_images(robot.joint_names, options.joint_pairs)
         self._signs = joint_signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
-        robot = self._env.scene.robot
         pose = robot.layout.default_joint_pos.tolist()
         for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
             if abs(pose[image] - sign * pose[joint]) > _MAX_TARGET_ERROR:
@@ -88,8 +86,14 @@ class Mirror:
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
                 raise ConfigError("the term's actions have no known mirror image", key=path, expected=expected)
-            offset, scale = _offset_and_scale(term)
-            for joint, o, s in zip(joints, offset, scale, strict=True):
+            # Process actions of 0 and 1 to find offset and scale of each action, without changing the term's state.
+            saved, zeros = term.state_dict(), torch.zeros_like(term.raw_actions)
+            term.process_actions(zeros)
+            offset = term.processed_actions[0].clone()
+            term.process_actions(zeros + 1.0)
+            scale = term.processed_actions[0] - offset
+            term.load_state_dict(saved)
+            for joint, o, s in zip(joints, offset.tolist(), scale.tolist(), strict=True):
                 columns[kind, joint] = len(columns)
                 made.append((kind, joint, o, s))
         names, turned = self._env.scene.robot.joint_names, []
@@ -98,18 +102,12 @@ class Mirror:
             image = (kind, names[self._images[source]])
             sign = self._signs[source]
             if image not in columns:
-                raise ConfigError(
-                    f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind",
-                    key="env.actions",
-                    expected="actions for both sides",
-                )
+                message = f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind"
+                raise ConfigError(message, key="env.actions", expected="actions for both sides")
             _, _, its_offset, its_scale = made[columns[image]]
             if abs(its_scale - scale_) > _MAX_TARGET_ERROR or abs(its_offset - sign * offset_) > _MAX_TARGET_ERROR:
-                raise ConfigError(
-                    f"an action sets another target for '{joint}' than for its image '{image[1]}'",
-                    key="env.actions",
-                    expected="one scale, and offsets that are images",
-                )
+                message = f"an action sets another target for '{joint}' than for its image '{image[1]}'"
+                raise ConfigError(message, key="env.actions", expected="one scale, and offsets that are images")
             turned.append((columns[image], sign))
         return turned
 
@@ -118,15 +116,21 @@ class Mirror:
         terms, slices = manager.terms(group), manager.term_slices(group)
         found: dict[int, tuple[int, float]] = {}
         for name, term in terms.items():
-            frame, start = self._frame(group, name, term), slices[name].start
-            frames = (slices[name].stop - start) // term.width
-            for number in range(frames):
-                first = start + number * term.width
+            frame = self._frame(group, name, term)
+            for first in range(slices[name].start, slices[name].stop, term.width):
                 found |= {first + i: (first + source, sign) for i, (source, sign) in enumerate(frame)}
         return [found[i] for i in range(len(found))]
 
     def _frame(self, group: str, name: str, term: ObservationTerm) -> SignedSources:
-        path, rule = term.term.path, self._rule(group, name, term)
+        path, (module, _, function) = term.term.path, term.term.target.rpartition(".")
+        is_stock = f"{module}.".startswith(f"{mirror_rules.OBSERVATIONS}.")
+        rule = self._options.terms.get(name, mirror_rules.TERM_RULES.get(function) if is_stock else None)
+        if rule == mirror_rules.COMMAND_RULE:
+            rule = self._turning.command(term)
+        if rule is None:
+            message = f"'{term.term.target}' has no known mirror image (observation '{name}' of '{group}')"
+            expected = "one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number"
+            raise ConfigError(message, key=f"{mirror_rules.RULES_KEY}.{name}", expected=expected)
         width, turned = term.width, self._turning.frame(rule, term)
         if len(turned) != width:
             shown = rule if isinstance(rule, str) else list(rule)
@@ -141,19 +145,6 @@ class Mirror:
             message = "the scale differs between numbers that are mirror images"
             raise ConfigError(message, key=f"{path}.scale", expected="one factor for both")
         return turned
-
-    def _rule(self, group: str, name: str, term: ObservationTerm) -> str | Sequence[float]:
-        given = self._options.terms.get(name)
-        rule = given if given is not None else mirror_rules.rule_of_target(term.term.target)
-        if rule == mirror_rules.COMMAND_RULE:
-            rule = self._turning.command(term)
-        if rule is None:
-            raise ConfigError(
-                f"'{term.term.target}' has no known mirror image (observation '{name}' of '{group}')",
-                key=f"{mirror_rules.RULES_KEY}.{name}",
-                expected="one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number",
-            )
-        return rule
 
 
 class MirroredHalf:
@@ -185,18 +176,6 @@ def left_right(
 def _index_and_sign_tensors(turned: SignedSources, device: str | torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     sources = torch.tensor([source for source, _ in turned], dtype=torch.long, device=device)
     return sources, torch.tensor([sign for _, sign in turned], device=device)
-
-
-def _offset_and_scale(term: ActionTerm) -> tuple[list[float], list[float]]:
-    """Return the offset and the scale of an action term for each action, without changing the term's state."""
-    saved = term.state_dict()
-    zeros = torch.zeros_like(term.raw_actions)
-    term.process_actions(zeros)
-    offset = term.processed_actions[0].clone()
-    term.process_actions(zeros + 1.0)
-    scale = term.processed_actions[0] - offset
-    term.load_state_dict(saved)
-    return offset.tolist(), scale.tolist()
 
 
 def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:

@@ -22,7 +22,7 @@ from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
 from wheelleg_exp.rl.policy_average import PolicyAverage
-from wheelleg_exp.rl.ppo_graphs import captured_ppo
+from wheelleg_exp.rl.ppo_graphs import CapturedPPO, can_capture_update
 from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
 from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -74,7 +74,8 @@ class Trainer:
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
         # This object acts and updates with the same numbers as the rsl_rl algorithm, which it replaces.
-        self._ppo = captured_ppo(self.algorithm) if agent.get("graph_update") else self.algorithm
+        captures = agent.get("graph_update") and can_capture_update(self.algorithm)
+        self._ppo: Any = CapturedPPO(self.algorithm) if captures else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total, and yield after each iteration.
@@ -126,7 +127,11 @@ class Trainer:
         with self.ranks.agreed():
             self._require_finite(losses)
         if self.ranks.together:
-            self._share_buffers()
+            # Copy the running means of observations from the first rank, because each rank collected different samples.
+            networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
+            with communicating():
+                for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
+                    torch.distributed.broadcast(buffer, src=0)
         self.average.take()
         return losses
 
@@ -138,13 +143,6 @@ class Trainer:
         scalars["Perf/total_fps"] = self.num_steps * self.env.num_envs / (collection_time + learning_time)
         times = {"Perf/collection_time": collection_time, "Perf/learning_time": learning_time}
         return self.ranks.merged(scalars | times, tuple(times))
-
-    def _share_buffers(self) -> None:
-        """Copy the running means of observations from the first rank, because each rank collected different samples."""
-        networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
-        with communicating():
-            for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
-                torch.distributed.broadcast(buffer, src=0)
 
     def networks(self) -> list[torch.nn.Module]:
         """Return actor and critic, or student and teacher."""
@@ -169,13 +167,11 @@ class Trainer:
             if self.ranks.together and is_communication(error):
                 raise left() from error
             self._require_finite({}, error)
-            raise SimulationFailure(
-                f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}",
-                key="agent",
-                where=place(error),
-                expected="networks that work, and a learning_rate at which numbers do not grow without bound",
-                evidence=self._learning({}),
-            ) from error
+            message = f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}"
+            where = place(error)
+            expected = "networks that work, and a learning_rate at which numbers do not grow without bound"
+            evidence = self._learning({})
+            raise SimulationFailure(message, key="agent", where=where, expected=expected, evidence=evidence) from error
 
     def _require_finite(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
         bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
@@ -185,12 +181,9 @@ class Trainer:
             bad += [f"the {role}'s {name} is not finite" for name in wrong]
         if bad:
             more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
-            raise SimulationFailure(
-                f"{bad[0]}{more}, in the update of iteration {self.iteration}",
-                key="agent.algorithm",
-                expected="finite numbers; a lower learning_rate or max_grad_norm may help",
-                evidence=self._learning(losses),
-            ) from cause
+            expected = "finite numbers; a lower learning_rate or max_grad_norm may help"
+            message, evidence = f"{bad[0]}{more}, in the update of iteration {self.iteration}", self._learning(losses)
+            raise SimulationFailure(message, key="agent.algorithm", expected=expected, evidence=evidence) from cause
 
     def _learning(self, losses: Mapping[str, float]) -> dict[str, torch.Tensor]:
         rate = {"learning_rate": torch.tensor(float(self.algorithm.learning_rate))}
@@ -198,16 +191,17 @@ class Trainer:
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that later iterations depend on; ``iter`` is the last finished iteration."""
+        rng = {"torch": torch.get_rng_state()}
+        if torch.device(self.device).type not in ("cpu", "meta"):
+            rng["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
         return {
-            "format_version": FORMAT_VERSION,
-            "iter": self.iteration - 1,
-            "infos": None,
+            **{"format_version": FORMAT_VERSION, "iter": self.iteration - 1, "infos": None},
             **cloned(self.algorithm.save()),
             **self.average.state_dict(),
             "unsaved": unsaved_state(self.algorithm) | self.average.unsaved(),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
-            "rng": self._random_state(),
+            "rng": rng,
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -225,10 +219,8 @@ class Trainer:
                 torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
         except (RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise RunDirectoryError(
-                f"the saved state does not fit: {reason[:200]}",
-                expected="the state of the same networks, terms, robot and number of environments",
-            ) from error
+            expected = "the state of the same networks, terms, robot and number of environments"
+            raise RunDirectoryError(f"the saved state does not fit: {reason[:200]}", expected=expected) from error
         self.iteration = saved["iter"] + 1
 
     @contextmanager
@@ -247,9 +239,3 @@ class Trainer:
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value
-
-    def _random_state(self) -> dict[str, torch.Tensor]:
-        state = {"torch": torch.get_rng_state()}
-        if torch.device(self.device).type not in ("cpu", "meta"):
-            state["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
-        return state

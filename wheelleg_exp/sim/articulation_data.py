@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.class_members import alias_of, cached_until_change, concatenation, declare_unsupported
+from wheelleg_exp.sim.class_members import alias_of, cached_until_change, declare_unsupported, joined
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.robot_data import RobotData
 
@@ -34,8 +34,8 @@ class ArticulationData(RobotData):
 
     The suffix ``_w`` means world axes, and ``_b`` means axes of the link. Velocities refer to centres of mass unless
     the attribute name contains ``link``; poses refer to link frames unless the attribute name contains ``com``.
-    Quaternions are (w, x, y, z). A pose is a position and a quaternion. A velocity is a linear and an angular velocity.
-    A state is a pose and a velocity.
+    Quaternions are (w, x, y, z). A pose is a position, m, and a quaternion. A velocity is a linear velocity, m/s, and
+    an angular velocity, rad/s. A state is a pose and a velocity. CoM means centre of mass.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
@@ -94,25 +94,13 @@ class ArticulationData(RobotData):
         """Orientation of the root body's principal axes of inertia (w, x, y, z), (N, 4)."""
         return rotation.quat_mul(self.root_quat_w, self._of_bodies("body_iquat")[:, 0])
 
-    root_link_pose_w = concatenation("root_pos_w", "root_quat_w", "Pose of the root link, m and (w, x, y, z), (N, 7).")
-    root_link_vel_w = concatenation(
-        "root_link_lin_vel_w", "root_ang_vel_w", "Velocity of the root link's origin, m/s and rad/s, (N, 6)."
-    )
-    root_com_pose_w = concatenation(
-        "root_com_pos_w", "root_com_quat_w", "Pose of the root body's centre of mass, m and (w, x, y, z), (N, 7)."
-    )
-    root_com_vel_w = concatenation(
-        "root_lin_vel_w", "root_ang_vel_w", "Velocity of the root body's centre of mass, m/s and rad/s, (N, 6)."
-    )
-    root_state_w = concatenation(
-        "root_link_pose_w", "root_com_vel_w", "Pose of the root link and velocity of its centre of mass, (N, 13)."
-    )
-    root_link_state_w = concatenation(
-        "root_link_pose_w", "root_link_vel_w", "Pose and velocity of the root link's origin, (N, 13)."
-    )
-    root_com_state_w = concatenation(
-        "root_com_pose_w", "root_com_vel_w", "Pose and velocity of the root body's centre of mass, (N, 13)."
-    )
+    root_link_pose_w = joined("root_pos_w", "root_quat_w", "Pose of the root link, m and (w, x, y, z), (N, 7).")
+    root_link_vel_w = joined("root_link_lin_vel_w", "root_ang_vel_w", "Velocity of the root link's origin, (N, 6).")
+    root_com_pose_w = joined("root_com_pos_w", "root_com_quat_w", "Pose of the root body's centre of mass, (N, 7).")
+    root_com_vel_w = joined("root_lin_vel_w", "root_ang_vel_w", "Velocity of the root body's centre of mass, (N, 6).")
+    root_state_w = joined("root_link_pose_w", "root_com_vel_w", "Pose of the root link, velocity of its CoM, (N, 13).")
+    root_link_state_w = joined("root_link_pose_w", "root_link_vel_w", "State of the root link's origin, (N, 13).")
+    root_com_state_w = joined("root_com_pose_w", "root_com_vel_w", "State of the root body's CoM, (N, 13).")
     root_pose_w = alias_of("root_link_pose_w")
     root_vel_w = alias_of("root_com_vel_w")
     root_link_pos_w = alias_of("root_pos_w")
@@ -165,8 +153,7 @@ class ArticulationData(RobotData):
     @cached_until_change
     def body_link_lin_vel_w(self) -> torch.Tensor:
         """Linear velocities of the links' origins, m/s, (N, B, 3)."""
-        lever = self.body_pos_w - self.body_com_pos_w
-        return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, lever)
+        return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, self.body_pos_w - self.body_com_pos_w)
 
     @cached_until_change
     def body_com_pos_w(self) -> torch.Tensor:
@@ -189,30 +176,14 @@ class ArticulationData(RobotData):
         """Orientation of each body's principal axes of inertia in the link's frame (w, x, y, z), (N, B, 4)."""
         return self._of_bodies("body_iquat")
 
-    body_link_pose_w = concatenation(
-        "body_pos_w", "body_quat_w", "Poses of the link frames, m and (w, x, y, z), (N, B, 7)."
-    )
-    body_link_vel_w = concatenation(
-        "body_link_lin_vel_w", "body_ang_vel_w", "Velocities of the links' origins, m/s and rad/s, (N, B, 6)."
-    )
-    body_com_pose_w = concatenation(
-        "body_com_pos_w", "body_com_quat_w", "Poses of the bodies' centres of mass, m and (w, x, y, z), (N, B, 7)."
-    )
-    body_com_vel_w = concatenation(
-        "body_lin_vel_w", "body_ang_vel_w", "Velocities of the bodies' centres of mass, m/s and rad/s, (N, B, 6)."
-    )
-    body_state_w = concatenation(
-        "body_link_pose_w", "body_com_vel_w", "Poses of the links and velocities of their centres of mass, (N, B, 13)."
-    )
-    body_link_state_w = concatenation(
-        "body_link_pose_w", "body_link_vel_w", "Poses and velocities of the links' origins, (N, B, 13)."
-    )
-    body_com_state_w = concatenation(
-        "body_com_pose_w", "body_com_vel_w", "Poses and velocities of the bodies' centres of mass, (N, B, 13)."
-    )
-    body_com_pose_b = concatenation(
-        "body_com_pos_b", "body_com_quat_b", "Poses of the centres of mass in their link's frame, (N, B, 7)."
-    )
+    body_link_pose_w = joined("body_pos_w", "body_quat_w", "Poses of the link frames, (N, B, 7).")
+    body_link_vel_w = joined("body_link_lin_vel_w", "body_ang_vel_w", "Velocities of the links' origins, (N, B, 6).")
+    body_com_pose_w = joined("body_com_pos_w", "body_com_quat_w", "Poses of the bodies' centres of mass, (N, B, 7).")
+    body_com_vel_w = joined("body_lin_vel_w", "body_ang_vel_w", "Velocities of the bodies' CoM, (N, B, 6).")
+    body_state_w = joined("body_link_pose_w", "body_com_vel_w", "Poses of the links, velocities of CoM, (N, B, 13).")
+    body_link_state_w = joined("body_link_pose_w", "body_link_vel_w", "States of the links' origins, (N, B, 13).")
+    body_com_state_w = joined("body_com_pose_w", "body_com_vel_w", "States of the bodies' CoM, (N, B, 13).")
+    body_com_pose_b = joined("body_com_pos_b", "body_com_quat_b", "Poses of the CoM in the links' frames, (N, B, 7).")
     body_link_pos_w = alias_of("body_pos_w")
     body_link_quat_w = alias_of("body_quat_w")
     body_link_ang_vel_w = alias_of("body_ang_vel_w")

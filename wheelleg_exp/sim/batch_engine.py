@@ -1,4 +1,4 @@
-"""The engine ``mujoco``: The engine ``mujoco``: MuJoCo's batch of simulations on the CPU, in float64."""
+"""The engine ``mujoco``: MuJoCo's batch of simulations on the CPU, in float64."""
 
 from __future__ import annotations
 
@@ -20,10 +20,7 @@ from wheelleg_exp.state import cloned
 
 _STAGE_NONE = mujoco.mjtStage.mjSTAGE_NONE.value
 _STAGE_VEL = mujoco.mjtStage.mjSTAGE_VEL.value
-_UNSTABLE = [
-    int(getattr(mujoco.mjtWarning, name))
-    for name in ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC", "mjWARN_BADCTRL")
-]
+_UNSTABLE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC", "CTRL")]
 
 
 class BatchEngine(Engine):
@@ -143,22 +140,21 @@ class BatchEngine(Engine):
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
+        at_set_const = None
+        if self._at_set_const is not None:
+            # The values at the last ``set_const`` of the model fields that were edited after the last ``set_const``.
+            then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
+            at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {
             "state": self.state.clone(),
             "warning": torch.from_numpy(self.batch.warning.copy()),
             "model_fields": {name: values.clone() for name, values in sorted(self.expanded.items())},
-            "at_set_const": None if self._at_set_const is None else self._edited_since(self._at_set_const),
+            "at_set_const": at_set_const,
         }
-
-    def _edited_since(self, then: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        """Return the values that each model field edited after the last ``set_const`` had at the last ``set_const``."""
-        before = {**self._unedited, **then}
-        return {n: before[n].clone() for n, now in sorted(self.expanded.items()) if not torch.equal(before[n], now)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         # Write model fields, and make MuJoCo derive its constants from the saved values of the last ``set_const``.
-        fields = saved["model_fields"]
-        then = saved["at_set_const"]
+        fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)
         now = {**self._unedited, **fields}

@@ -26,7 +26,7 @@ def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
     return property(get, doc=compute.__doc__)
 
 
-def concatenation(first: str, second: str, doc: str) -> property:
+def joined(first: str, second: str, doc: str) -> property:
     """Make a cached property that concatenates two other properties along the last dimension."""
 
     def compute(self: Any) -> torch.Tensor:
@@ -70,9 +70,5 @@ def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class
 
 def unsupported_members(owner: type) -> dict[str, str]:
     """Return the unsupported members of a class and the reason for each."""
-    return {
-        name: member.why
-        for kind in reversed(owner.__mro__)
-        for name, member in vars(kind).items()
-        if isinstance(member, UnsupportedMember)
-    }
+    found = (item for kind in reversed(owner.__mro__) for item in vars(kind).items())
+    return {name: member.why for name, member in found if isinstance(member, UnsupportedMember)}

@@ -41,8 +41,8 @@ class DelayBuffer:
     def reset(self, env_ids: torch.Tensor) -> None:
         """Drop the samples of the environments ``env_ids`` and draw new lags."""
         low, high = self._range
-        drawn = torch.randint(low, high + 1, (len(env_ids),), generator=self._generator, device=self.lag.device)
-        self.lag[env_ids] = drawn
+        size, device = (len(env_ids),), self.lag.device
+        self.lag[env_ids] = torch.randint(low, high + 1, size, generator=self._generator, device=device)
         fill_rows(self._is_first, env_ids, True)
 
     def state_dict(self) -> dict[str, Any]:
@@ -58,8 +58,7 @@ class DelayBuffer:
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
         newest = sample.unsqueeze(1)
         later = torch.cat((newest, self._samples[:, :-1]), dim=1)
-        first = self._is_first.view(-1, *[1] * (later.ndim - 1))
-        return torch.where(first, newest, later)
+        return torch.where(self._is_first.view(-1, *[1] * (later.ndim - 1)), newest, later)
 
     def _read(self, samples: torch.Tensor) -> torch.Tensor:
         return samples[self._rows, self.lag]

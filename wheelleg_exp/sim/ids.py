@@ -17,10 +17,8 @@ def ids_where(mask: torch.Tensor) -> torch.Tensor:
 
 def chosen(ids: Ids, everything: torch.Tensor) -> torch.Tensor:
     """Return indices as a tensor (n,); None means all indices, ``everything`` (N,)."""
-    if ids is None:
-        return everything
-    if isinstance(ids, torch.Tensor):
-        return ids
+    if ids is None or isinstance(ids, torch.Tensor):
+        return everything if ids is None else ids
     return everything[ids] if isinstance(ids, slice) else torch.tensor(list(ids), device=everything.device)
 
 

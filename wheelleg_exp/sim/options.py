@@ -11,19 +11,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
-from wheelleg_exp.constraints import (
-    Above,
-    AtMost,
-    Broken,
-    Count,
-    Length,
-    Natural,
-    Node,
-    NonNegative,
-    NotAllZero,
-    Positive,
-    relation,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAllZero, relation
 
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -78,15 +67,15 @@ class SimOptions:
 
     engine: Literal["mujoco", "warp"]
     device: str
-    dt: Positive
+    dt: constraints.Positive
     gravity: Annotated[Sequence[float], Length(3)]
     integrator: Literal["euler", "rk4", "implicit", "implicitfast"]
     solver: Literal["pgs", "cg", "newton"]
     cone: Literal["pyramidal", "elliptic"]
     iterations: Count
     ls_iterations: Count
-    tolerance: NonNegative
-    impratio: Positive
+    tolerance: constraints.NonNegative
+    impratio: constraints.Positive
     nthread: Natural
     nconmax: Natural = 0
     njmax: Natural = 0
@@ -105,7 +94,7 @@ class SceneOptions:
         sensors: the sensors' nodes by name.
     """
 
-    env_spacing: NonNegative
+    env_spacing: constraints.NonNegative
     terrain: Node
     sensors: dict[str, Node | None]
 
@@ -150,7 +139,7 @@ class RobotOptions:
     base: Literal["auto", "floating", "fixed"]
     init_state: InitState
     joint_order: list[str] | None
-    soft_joint_pos_limit_factor: Annotated[float, Above(0), AtMost(1)]
+    soft_joint_pos_limit_factor: Annotated[float, constraints.Above(0), constraints.AtMost(1)]
     friction_source: Literal["static", "dynamic"]
     actuators: dict[str, Node | None]
     self_collisions: bool | None = None

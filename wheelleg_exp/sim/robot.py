@@ -55,12 +55,9 @@ class Robot(RobotWriters):
 
     floating = alias_of("layout.floating", "Whether the base moves freely.")
     default_root_pos = alias_of(
-        "layout.default_root_pos",
-        "Position of the root link at a reset, m, relative to the environment's origin, (3,).",
+        "layout.default_root_pos", "Root link at a reset, m, from the environment's origin, (3,)."
     )
-    default_root_quat = alias_of(
-        "layout.default_root_quat", "Orientation of the root link at a reset, (w, x, y, z), (4,)."
-    )
+    default_root_quat = alias_of("layout.default_root_quat", "Orientation of the root link at a reset, wxyz, (4,).")
 
     def connect(self, sim: Engine, stream: Callable[[str], torch.Generator]) -> None:
         """Connect the robot to the running simulations, once, after the scene has been compiled."""
@@ -77,11 +74,8 @@ class Robot(RobotWriters):
                 actuator.start(shape, float(sim.model.opt.timestep), partial(stream, key))
                 made(actuator, key)
         self.body_ids = layout.body_ids
-        self.targets = JointTargets(
-            layout.default_joint_pos.expand(shape).clone(),
-            torch.zeros(shape, device=device),
-            torch.zeros(shape, device=device),
-        )
+        pos = layout.default_joint_pos.expand(shape).clone()
+        self.targets = JointTargets(pos, torch.zeros(shape, device=device), torch.zeros(shape, device=device))
         self.data = ArticulationData(sim, layout, self.targets, self._computed_torque, gains=self._gains)
         self._ctrl = sim.view("ctrl")
         self._has_new_targets = True
@@ -152,8 +146,7 @@ class Robot(RobotWriters):
         self._has_new_targets = False
         bodies = list(self._wrench_bodies)
         if bodies == [0]:  # The root's rotation is part of the state, so it needs no forward kinematics.
-            turn = data.root_rot_w.permute(1, 2, 0)
-            self._root_xfrc.copy_((turn * self._root_wrench).sum(dim=2))
+            self._root_xfrc.copy_((data.root_rot_w.permute(1, 2, 0) * self._root_wrench).sum(dim=2))
         elif bodies:
             world = data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
             self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)

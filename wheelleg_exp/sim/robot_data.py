@@ -143,11 +143,8 @@ class RobotData(Kept):
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return the stored state of the last physics step."""
-        return {
-            "motion_before": self._motion_before.clone(),
-            "torque_valid": self._torque_valid.clone(),
-            "applied_torque": self._applied_torque.clone(),
-        }
+        names = ("motion_before", "torque_valid", "applied_torque")
+        return {name: getattr(self, f"_{name}").clone() for name in names}
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -195,16 +192,16 @@ class RobotData(Kept):
     @cached_until_change
     def root_link_lin_vel_w(self) -> torch.Tensor:
         """Velocity of the root link's origin, m/s, (N, 3)."""
-        if not self._floating:
-            return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
-        return self._velocities[:, 0:3]
+        return (
+            self._velocities[:, 0:3] if self._floating else torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
+        )
 
     @cached_until_change
     def root_ang_vel_b(self) -> torch.Tensor:
         """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
-        if not self._floating:
-            return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
-        return self._velocities[:, 3:6]
+        return (
+            self._velocities[:, 3:6] if self._floating else torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
+        )
 
     @cached_until_change
     def root_ang_vel_w(self) -> torch.Tensor:
@@ -268,8 +265,7 @@ class RobotData(Kept):
         return self._qvel_before.index_select(1, self._dof_ids).float()
 
     applied_torque = alias_of(
-        "_applied_torque",
-        "Clipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset.",
+        "_applied_torque", "Clipped actuator torque at the last physics step's start, N·m, (N, J); 0 after a reset."
     )
 
     @cached_until_change

@@ -31,11 +31,8 @@ class RobotLayout(Kept):
         self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
         wanted = options.base
         if wanted != "auto" and (wanted == "floating") != self.floating:
-            raise ConfigError(
-                f"the model's base is {'floating' if self.floating else 'fixed'}, not '{wanted}'",
-                key="env.robot.base",
-                expected="auto, or the base that the model has",
-            )
+            message = f"the model's base is {'floating' if self.floating else 'fixed'}, not '{wanted}'"
+            raise ConfigError(message, key="env.robot.base", expected="auto, or the base that the model has")
         found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
         for error in () if options.joint_order is None else order_errors(options.joint_order, found):
             raise error
@@ -45,8 +42,7 @@ class RobotLayout(Kept):
         pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
         vel = values_by_name(init.joint_vel, names, 0.0, key=f"{key}.joint_vel", what="joint")
         self._default_positions = [float(value) for value in pos]
-        self.default_joint_pos = self._numbers(self._default_positions)
-        self.default_joint_vel = self._numbers(vel)
+        self.default_joint_pos, self.default_joint_vel = self._numbers(self._default_positions), self._numbers(vel)
         self.default_root_pos = self._numbers(init.pos)
         self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
         if not self.floating:  # Events and actions cannot move a fixed base.
@@ -60,7 +56,17 @@ class RobotLayout(Kept):
         self.body_ids = self._ids(int(model.body(b).id) for b in self.body_names)
         self.actuated_ids = self._ids(())
         self.all_limited = all(model.jnt_limited[model.joint(j).id] for j in self.joint_names)
-        self._read_limits(model)
+        ranges = []
+        for name, value in zip(self.joint_names, self._default_positions, strict=True):
+            index = model.joint(name).id
+            low, high = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-torch.inf, torch.inf)
+            if not low <= value <= high:
+                message = f"the default position {value} of joint '{name}' is outside its limits"
+                key = "env.robot.init_state.joint_pos"
+                raise ConfigError(message, key=key, expected=f"a value in [{low:.6g}, {high:.6g}]")
+            ranges.append((low, high))
+        self.joint_pos_limits = limits = self._numbers(ranges).view(-1, 2)
+        self.soft_joint_pos_limits = soft_limits(limits, self._options.soft_joint_pos_limit_factor)
         self.velocity_limits = torch.full((len(self.joint_names),), torch.inf, device=self._device)
         self.effort_limits = torch.full_like(self.velocity_limits, torch.inf)
 
@@ -69,22 +75,6 @@ class RobotLayout(Kept):
 
     def _numbers(self, values: Any) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
-
-    def _read_limits(self, model: mujoco.MjModel) -> None:
-        ranges = []
-        for name, value in zip(self.joint_names, self._default_positions, strict=True):
-            index = model.joint(name).id
-            low, high = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-torch.inf, torch.inf)
-            if not low <= value <= high:
-                raise ConfigError(
-                    f"the default position {value} of joint '{name}' is outside its limits",
-                    key="env.robot.init_state.joint_pos",
-                    expected=f"a value in [{low:.6g}, {high:.6g}]",
-                )
-            ranges.append((low, high))
-        limits = self._numbers(ranges).view(-1, 2)
-        self.joint_pos_limits = limits
-        self.soft_joint_pos_limits = soft_limits(limits, self._options.soft_joint_pos_limit_factor)
 
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:

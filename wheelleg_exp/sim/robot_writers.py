@@ -115,8 +115,7 @@ class RobotWriters(Kept):
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         pose = root_pose.to(dtype)
-        norm = torch.linalg.vector_norm(pose[:, 3:7], dim=1, keepdim=True).clamp_(min=1e-12)
-        unit = pose[:, 3:7] / norm
+        unit = pose[:, 3:7] / torch.linalg.vector_norm(pose[:, 3:7], dim=1, keepdim=True).clamp_(min=1e-12)
         self._root_qpos.index_copy_(0, ids, torch.cat((pose[:, 0:3], unit), dim=1).expand(ids.shape[0], -1))
         self.mark_written(ids)
 
@@ -243,11 +242,9 @@ class RobotWriters(Kept):
             turn = self.data.body_rot_w[rows, bodies].mT
             forces, torques = ((turn @ vector.unsqueeze(-1)).squeeze(-1) for vector in (forces, torques))
             if positions is not None:
-                offset = positions - self.data.body_pos_w[rows, bodies]
-                positions = (turn @ offset.unsqueeze(-1)).squeeze(-1)
+                positions = (turn @ (positions - self.data.body_pos_w[rows, bodies]).unsqueeze(-1)).squeeze(-1)
         if positions is not None:
-            lever = positions - self.data.body_com_pos_b[rows, bodies]
-            torques = torques + torch.linalg.cross(lever, forces)
+            torques = torques + torch.linalg.cross(positions - self.data.body_com_pos_b[rows, bodies], forces)
         self.set_permanent_wrench(ids, bodies.tolist(), torch.cat((forces, torques), dim=-1))
 
     def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
@@ -277,10 +274,8 @@ class RobotWriters(Kept):
 
     def _require_floating(self) -> None:
         if self.is_fixed_base:
-            raise ConfigError(
-                "the robot's base is fixed, so its root cannot be moved",
-                expected="terms that do not move the root, or env.robot.base=floating",
-            )
+            message = "the robot's base is fixed, so its root cannot be moved"
+            raise ConfigError(message, expected="terms that do not move the root, or env.robot.base=floating")
 
     def write_joint_stiffness_to_sim(self, stiffness: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
         """Set kp of the joints' actuators, N·m/rad."""
@@ -360,8 +355,7 @@ class RobotWriters(Kept):
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         for place, written, named in self._write_drives(name, ids, joints, values):
             field = self._sim.expand("actuator_biasprm")
-            gains = -written.to(self._sim.dtype)
-            field[ids, place, column] = torch.where(named, gains, field[ids, place, column])
+            field[ids, place, column] = torch.where(named, -written.to(self._sim.dtype), field[ids, place, column])
 
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values

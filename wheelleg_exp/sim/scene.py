@@ -58,7 +58,12 @@ class Scene(Kept):
         spec, root_name = read_robot(mjcf)
         if robot.root_frame is not None:
             turn_root_frame(spec, root_name, robot.root_frame)
-        _set_options(spec, sim)
+        spec.option.timestep = sim.dt
+        for name in ("gravity", "iterations", "ls_iterations", "tolerance", "impratio"):
+            setattr(spec.option, name, getattr(sim, name))
+        spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{sim.integrator.upper()}")
+        spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{sim.solver.upper()}")
+        spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{sim.cone.upper()}")
         set_self_collisions(spec, robot.self_collisions)
         with blamed(TERRAIN_KEY, terrain):
             terrain.read_files(mjcf.parent)
@@ -91,7 +96,14 @@ class Scene(Kept):
         """Compile the spec, start the simulations, and put the robot into its default state."""
         self.model = self.spec.compile()
         self._compiled = _checksums(self.model)
-        self.sim = make_engine(self._sim_options, self.model, self.num_envs)
+        options = self._sim_options
+        if options.engine == "warp":
+            # The module of the Warp engine imports large optional packages.
+            from wheelleg_exp.sim.warp_engine import WarpEngine
+
+            self.sim: Engine = WarpEngine(self.model, self.num_envs, options)
+        else:
+            self.sim = BatchEngine(self.model, self.num_envs, options.nthread)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
         self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self.robot.connect(self.sim, self._stream)
@@ -143,12 +155,9 @@ class Scene(Kept):
         """Return a contact sensor by name; ConfigError if no contact sensor has that name."""
         sensor = self.sensors.get(name)
         if not isinstance(sensor, ContactSensor):
-            raise ConfigError(
-                f"'{name}' is not a contact sensor",
-                key="sensor_cfg.name",
-                expected="one of " + (", ".join(self.sensors) or "(the scene has none)"),
-                nearest=nearest_name(name, self.sensors),
-            )
+            expected = "one of " + (", ".join(self.sensors) or "(the scene has none)")
+            message, nearest = f"'{name}' is not a contact sensor", nearest_name(name, self.sensors)
+            raise ConfigError(message, key="sensor_cfg.name", expected=expected, nearest=nearest)
         return sensor
 
     def model_digest(self) -> str:
@@ -191,13 +200,10 @@ class Scene(Kept):
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
-        state = {
-            "root_pose": torch.cat((pos, data.root_quat_w), dim=1),
-            "root_velocity": torch.cat((data.root_lin_vel_w, data.root_ang_vel_w), dim=1),
-            "joint_position": data.joint_pos,
-            "joint_velocity": data.joint_vel,
-        }
-        return {"articulation": {"robot": state}}
+        velocity = torch.cat((data.root_lin_vel_w, data.root_ang_vel_w), dim=1)
+        root = {"root_pose": torch.cat((pos, data.root_quat_w), dim=1), "root_velocity": velocity}
+        joints = {"joint_position": data.joint_pos, "joint_velocity": data.joint_vel}
+        return {"articulation": {"robot": root | joints}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
         """Return the tensors that terms may have written to (see ``Engine.asked``), by the names of failure reports."""
@@ -271,16 +277,6 @@ class Scene(Kept):
         self.terrain.load_state_dict(saved.get("terrain", {}))
 
 
-def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> Engine:
-    """Return the engine that ``env.sim.engine`` names, with N simulations; ConfigError if the engine is unusable."""
-    if options.engine == "warp":
-        # The module of the Warp engine imports large optional packages.
-        from wheelleg_exp.sim.warp_engine import WarpEngine
-
-        return WarpEngine(model, num_envs, options)
-    return BatchEngine(model, num_envs, options.nthread)
-
-
 def model_digest(model: mujoco.MjModel) -> str:
     """Return the sha256 of all numbers and names of a model, without the paths of its files."""
     digest = hashlib.sha256()
@@ -301,16 +297,3 @@ def _fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
 
 def _checksums(model: mujoco.MjModel) -> dict[str, int]:
     return {name: zlib.crc32(np.ascontiguousarray(value).data) for name, value in _fields(model)}
-
-
-def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:
-    option = spec.option
-    option.timestep = sim.dt
-    option.gravity = sim.gravity
-    option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{sim.integrator.upper()}")
-    option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{sim.solver.upper()}")
-    option.cone = getattr(mujoco.mjtCone, f"mjCONE_{sim.cone.upper()}")
-    option.iterations = sim.iterations
-    option.ls_iterations = sim.ls_iterations
-    option.tolerance = sim.tolerance
-    option.impratio = sim.impratio

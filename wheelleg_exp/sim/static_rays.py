@@ -79,8 +79,12 @@ class StaticGeoms:
     def are_still(self, expanded: Collection[str]) -> bool:
         """Return whether the model without the robot is valid: no event has edited these geoms in any simulation."""
         if self._is_same is None:
-            alone = self._make()
-            self._is_same = self._same(alone)
+            alone, here = self._make(), np.flatnonzero(self._model.geom_group == self._group)
+            self._is_same = len(here) == alone.ngeom
+            there = [alone.geom(self._model.geom(g).name).id for g in here if self._is_same]
+            for name in _GEOM_FIELDS:
+                own, other = getattr(self._model, name)[here], getattr(alone, name)[there]
+                self._is_same = self._is_same and np.array_equal(own, other)
             if self._is_same:
                 self._batch = Batch(alone, self._nthread * _ROWS, nthread=self._nthread)
                 if alone.ngeom >= _MANY:
@@ -93,30 +97,15 @@ class StaticGeoms:
         count = int(np.prod(shape))
         together = _TOGETHER if self._reach else max(1, -(-count // rows))
         blocks = -(-count // together)
-        starts, ways = (
-            np.resize(rays.reshape(-1, 3), (blocks * together, 3)).reshape(blocks, together, 3)
-            for rays in (origins, directions)
-        )
+        flat = (np.resize(rays.reshape(-1, 3), (blocks * together, 3)) for rays in (origins, directions))
+        starts, ways = (rays.reshape(blocks, together, 3) for rays in flat)
         far = np.empty((blocks, together))
-        for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            far[some] = self._cast(starts[some], ways[some])
-        return far.reshape(-1)[:count].reshape(shape)
-
-    def _cast(self, origins: Floats, directions: Floats) -> Floats:
-        """Cast one block of rays in each of the first simulations."""
         assert self._batch is not None
-        ids, shown = np.arange(len(origins)), None
-        if self._reach is not None:
-            reached = self._reach.reached(origins, directions)
-            self._groups[: len(ids)] = np.where(reached, _SHOWN, _HIDDEN)
-            shown = np.arange(mujoco.mjNGROUP) == _SHOWN
-        return np.asarray(self._batch.ray(origins, directions, geomgroup=shown, ids=ids)[0])
-
-    def _same(self, alone: mujoco.MjModel) -> bool:
-        here = np.flatnonzero(self._model.geom_group == self._group)
-        if len(here) != alone.ngeom:
-            return False
-        there = [alone.geom(self._model.geom(g).name).id for g in here]
-        return all(
-            np.array_equal(getattr(self._model, name)[here], getattr(alone, name)[there]) for name in _GEOM_FIELDS
-        )
+        for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
+            # Cast one block of rays in each of the first simulations.
+            ids, shown = np.arange(some.stop - some.start), None
+            if self._reach is not None:
+                self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)
+                shown = np.arange(mujoco.mjNGROUP) == _SHOWN
+            far[some] = self._batch.ray(starts[some], ways[some], geomgroup=shown, ids=ids)[0]
+        return far.reshape(-1)[:count].reshape(shape)

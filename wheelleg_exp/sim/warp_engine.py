@@ -13,7 +13,7 @@ import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.options import SimOptions
-from wheelleg_exp.sim.warp_fields import DERIVED, DataFields, ModelFields
+from wheelleg_exp.sim.warp_fields import CONSTANTS, DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
 # Contacts per simulation, on average. A wheel-legged robot that lies on the ground has about twelve contacts.
@@ -61,14 +61,13 @@ class Overflow:
 
     def look(self) -> None:
         """Start copying the overflow flags to the host; ``require_none`` reads the copy once it has arrived."""
-        lost = self._flags & (self._rows | self._contacts)
-        self._seen.copy_(lost.amax(), non_blocking=True)
+        self._seen.copy_((self._flags & (self._rows | self._contacts)).amax(), non_blocking=True)
 
     def require_none(self, data: Any) -> None:
         """Raise SimulationFailure if the overflow flags that have arrived on the host show an overflow."""
-        if not int(self._seen):
-            return
         flags = int(self._seen)
+        if not flags:
+            return
         if flags & self._rows:
             key, has, needed = "env.sim.njmax", self._room.rows, int(data.nefc.numpy().max())
             what = "constraint rows in one simulation"
@@ -76,11 +75,8 @@ class Overflow:
             found = max(int(data.nacon.numpy()[0]), int(data.ncollision.numpy()[0]))
             key, has, needed = "env.sim.nconmax", self._room.contacts, -(-found // int(data.nworld))
             what = "contacts per simulation on average"
-        raise SimulationFailure(
-            f"there are more than {has} {what}, and the excess ones were dropped",
-            key=key,
-            expected=f"{max(needed, 2 * has)} or more",
-        )
+        message = f"there are more than {has} {what}, and the excess ones were dropped"
+        raise SimulationFailure(message, key=key, expected=f"{max(needed, 2 * has)} or more")
 
 
 _HUGE = 1e10  # Positions and velocities above MuJoCo's mjMAXVAL count as invalid.
@@ -129,33 +125,24 @@ class WarpEngine(Engine):
         self._fields = ModelFields(wp, self._m, model, num_envs)
         self._state = self._data.state()
         data = mujoco.MjData(self.model)
-        found = {}
+        self._initial: dict[str, torch.Tensor] = {}
         for name, view in self._state.items():
             value = torch.as_tensor(getattr(data, name)).reshape(1, *view.shape[1:])
-            found[name] = value.to(self.device, view.dtype)
-        self._initial = found
-        for name, value in self._initial.items():
-            self._state[name].copy_(value.expand_as(self._state[name]))
+            self._initial[name] = value.to(self.device, view.dtype)
+            view.copy_(self._initial[name].expand_as(view))
         self._overflow = Overflow(mjw.OverflowType, wp.to_torch(self._d.overflow), self.room)
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._all_ids = torch.arange(num_envs, device=self.device)
-        self._rows = self._flat_state()
-        self._still: set[int] = set()
-        self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
-
-    def _flat_state(self) -> dict[str, tuple[Any, Any, float]]:
-        """Return Warp arrays for resets by name: state, initial value, and the largest value that a reset keeps."""
         from wheelleg_exp.sim import warp_kernels  # The import of this module also imports Warp.
 
-        self._kernels = warp_kernels
-        self._bad_flags = self._wp.from_torch(self._bad)
+        self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
-        flat = warp_kernels.flat
-        return {
-            name: (flat(view), flat(self._initial[name])[0], _HUGE if name in _MOTION else 0.0)
-            for name, view in numbers.items()
-        }
+        most_kept = dict.fromkeys(_MOTION, _HUGE)
+        # Warp arrays for resets by name: state, initial value, and the largest value that a reset keeps.
+        self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
+        self._still: set[int] = set()
+        self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
 
     @property
     def state(self) -> torch.Tensor:  # type: ignore[override]  # read-only
@@ -191,8 +178,10 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
+            # The outputs of ``set_const`` get one value per simulation.
             self._graphs.forget()
-            self._fields.expand_constants()
+            for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
+                self._fields.expand(name)
         self._graphs.run("set_const", lambda: self._mjw.set_const(self._m, self._d))
         self.forward()
 
@@ -280,26 +269,15 @@ class WarpEngine(Engine):
         geoms = torch.empty(self.num_envs, count, dtype=torch.int32, device=self.device)
         normals = torch.empty(self.num_envs, count, 3, device=self.device)
         nobody = torch.full((count,), -1, dtype=torch.int32, device=self.device)
-        if geom_groups is None:
-            mask = [-1.0] * mujoco.mjNGROUP
-        else:
-            mask = [float(group in geom_groups) for group in range(mujoco.mjNGROUP)]
+        groups = range(mujoco.mjNGROUP)
+        mask = [-1.0 if geom_groups is None else float(group in geom_groups) for group in groups]
         chosen = wp.types.vector(length=mujoco.mjNGROUP, dtype=float)(*mask)
         with self._graphs.here():
             if geom_groups is None or not self._still.issuperset(geom_groups):
                 self._mjw.kinematics(self._m, self._d)
-            self._mjw.rays(
-                self._m,
-                self._d,
-                wp.from_torch(points.contiguous(), dtype=wp.vec3),
-                wp.from_torch(ways.contiguous(), dtype=wp.vec3),
-                chosen,
-                True,
-                wp.from_torch(nobody),
-                wp.from_torch(far),
-                wp.from_torch(geoms),
-                wp.from_torch(normals, dtype=wp.vec3),
-            )
+            rays = [wp.from_torch(vectors.contiguous(), dtype=wp.vec3) for vectors in (points, ways)]
+            found = (wp.from_torch(far), wp.from_torch(geoms), wp.from_torch(normals, dtype=wp.vec3))
+            self._mjw.rays(self._m, self._d, *rays, chosen, True, wp.from_torch(nobody), *found)
         return far if ids is None else far[ids]
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:

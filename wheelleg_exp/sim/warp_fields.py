@@ -71,11 +71,8 @@ class ModelFields:
             owner, last = self._place(name)
             array: Any = getattr(owner, last, None)
             if not self.may_differ(name):
-                raise ConfigError(
-                    f"mujoco-warp has one '{name}' for all simulations",
-                    key=ENGINE,
-                    expected="mujoco, or no event that gives each environment its own value",
-                )
+                expected = "mujoco, or no event that gives each environment its own value"
+                raise ConfigError(f"mujoco-warp has one '{name}' for all simulations", key=ENGINE, expected=expected)
             wp = self._wp
             each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
             wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))
@@ -90,13 +87,6 @@ class ModelFields:
             self.expand(name)
         for name, values in self.own.items():
             values.copy_(saved.get(name, self._first[name]).expand_as(values))
-
-    def expand_constants(self) -> None:
-        """Give the outputs of ``set_const`` one value per simulation."""
-        for name in CONSTANTS:
-            array = getattr(self._on_device, name, None)
-            if array is not None and array.size:
-                self.expand(name)
 
     def _like(self, name: str) -> Any:
         found: Any = self._model

@@ -47,11 +47,8 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
             wp.init()
         import mujoco_warp as mjw
     except ImportError as error:
-        raise ConfigError(
-            f"the engine 'warp' needs the package {error.name}, which is not installed",
-            key=ENGINE,
-            expected="mujoco, or: pip install 'wheelleg_exp[gpu]'",
-        ) from error
+        message = f"the engine 'warp' needs the package {error.name}, which is not installed"
+        raise ConfigError(message, key=ENGINE, expected="mujoco, or: pip install 'wheelleg_exp[gpu]'") from error
     require_device(device)
     return wp, mjw
 
@@ -75,11 +72,9 @@ def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
             warnings.simplefilter("ignore")
             return mjw.put_model(model)
     except (NotImplementedError, ValueError) as error:
-        raise ConfigError(
-            f"mujoco-warp cannot simulate this model: {str(error).rstrip('.')}",
-            key=ENGINE,
-            expected="mujoco, or a robot, ground and solver that mujoco-warp supports",
-        ) from error
+        message = f"mujoco-warp cannot simulate this model: {str(error).rstrip('.')}"
+        expected = "mujoco, or a robot, ground and solver that mujoco-warp supports"
+        raise ConfigError(message, key=ENGINE, expected=expected) from error
 
 
 class Graphs:

@@ -33,21 +33,9 @@ NOTHING = object()
 CONTAINERS: dict[type, str] = {kind: kind.__name__ for kind in (list, tuple, dict, set, frozenset, deque)}
 # Objects of these types cannot change in place, so a checkpoint need not store them.
 _CONSTANTS = (
-    bytes,
-    complex,
-    range,
-    slice,
-    type,
-    enum.Enum,
-    re.Pattern,
-    PurePath,
-    torch.dtype,
-    torch.device,
-    torch.Size,
-    np.dtype,
-    types.FunctionType,
-    types.BuiltinFunctionType,
-    types.ModuleType,
+    *(bytes, complex, range, slice, type, enum.Enum, re.Pattern, PurePath),
+    *(torch.dtype, torch.device, torch.Size, np.dtype),
+    *(types.FunctionType, types.BuiltinFunctionType, types.ModuleType),
 )
 Generator = tuple[type, Callable[[Any], Any], Callable[[Any, Any], None]]
 GENERATORS: dict[str, Generator] = {
@@ -56,7 +44,7 @@ GENERATORS: dict[str, Generator] = {
     "numpy random": (
         np.random.Generator,
         lambda g: g.bit_generator.state,
-        lambda g, state: setattr(g.bit_generator, "state", state),
+        lambda g, s: setattr(g.bit_generator, "state", s),
     ),
 }
 
@@ -118,8 +106,12 @@ def snapshot(value: Any, path: str) -> Any:
     for tag, (kind, get, _) in GENERATORS.items():
         if isinstance(value, kind):
             return {TAG: tag, "data": snapshot(get(value), path)}
-    if _saves_itself(value):
-        return {TAG: "stateful", "data": snapshot(dict(value.state_dict()), path), "rest": _rest(value, path)}
+    if all(hasattr(value, name) for name in ("state_dict", "load_state_dict")) and not isinstance(value, type):
+        rest = None  # the attributes of a network that its ``state_dict`` omits
+        if isinstance(value, torch.nn.Module) and not isinstance(value, torch.jit.ScriptModule):
+            rest = {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)}
+        data = snapshot(dict(value.state_dict()), path)
+        return {TAG: "stateful", "data": data, "rest": Reference(None, rest)}
     if isinstance(value, types.MethodType):
         return Reference(value, None if isinstance(value.__self__, type) else snapshot(value.__self__, path))
     if isinstance(value, partial):
@@ -140,17 +132,6 @@ def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
     except TypeError:
         raise Unsaveable(path, value) from None
     return {TAG: "array" if isinstance(value, np.ndarray) else "scalar", "data": tensor}
-
-
-def _saves_itself(value: Any) -> bool:
-    return hasattr(value, "state_dict") and hasattr(value, "load_state_dict") and not isinstance(value, type)
-
-
-def _rest(value: Any, path: str) -> Reference:
-    """Return the attributes of a network that its ``state_dict`` omits; none if it is not a torch module."""
-    if not isinstance(value, torch.nn.Module) or isinstance(value, torch.jit.ScriptModule):
-        return Reference(None)
-    return Reference(None, {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)})
 
 
 def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
@@ -240,11 +221,13 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
     if tag == "stateful" or tag in GENERATORS:
         if not alike:
             raise Unsaveable(path, NOTHING, f"a {tag}, which was added after its owner was made")
-        _require_untouched(item.get("rest"), before.get("rest"), path)
-        return {
-            TAG: tag,
-            "data": item["data"] if tag != "stateful" else checkpoint_value(item["data"], before["data"], path),
-        }
+        now_seen, was_seen = (getattr(side.get("rest"), "seen", None) or {} for side in (item, before))
+        for name in {**now_seen, **was_seen}:
+            if not same(now_seen.get(name, NOTHING), was_seen.get(name, NOTHING)):
+                why = "which its network's state_dict leaves out; register a buffer"
+                raise Unsaveable(f"{path}.{name}", NOTHING, why)
+        data = item["data"] if tag != "stateful" else checkpoint_value(item["data"], before["data"], path)
+        return {TAG: tag, "data": data}
     if "items" not in item:
         return item
     there = before["items"] if alike and same(item.get("keys"), before.get("keys")) else []
@@ -253,17 +236,14 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
     return {**item, "items": items}
 
 
-def _require_untouched(now: Reference | None, before: Reference | None, path: str) -> None:
-    now_seen, was_seen = (getattr(side, "seen", None) or {} for side in (now, before))
-    for name in {**now_seen, **was_seen}:
-        if not same(now_seen.get(name, NOTHING), was_seen.get(name, NOTHING)):
-            raise Unsaveable(f"{path}.{name}", NOTHING, "which its network's state_dict leaves out; register a buffer")
-
-
 def restored_value(item: Any, present: Any = None) -> Any:
     """Return the value that an item from ``snapshot`` describes, written into ``present`` if possible."""
     if isinstance(item, torch.Tensor):
-        return _tensor_again(item, present)
+        alike = isinstance(present, torch.Tensor) and (present.shape, present.dtype) == (item.shape, item.dtype)
+        if not alike or (0 in present.stride() and present.numel() > 1):  # An expanded tensor cannot be written to.
+            return item.clone()
+        with torch.inference_mode() if present.is_inference() else torch.no_grad():
+            return present.copy_(item)
     if isinstance(item, Reference):
         return item.value
     if not isinstance(item, dict):
@@ -286,15 +266,6 @@ def restored_value(item: Any, present: Any = None) -> Any:
         GENERATORS[tag][2](present, restored_value(data))
         return present
     return _container_again(tag, item, present)
-
-
-def _tensor_again(item: torch.Tensor, present: Any) -> torch.Tensor:
-    if not isinstance(present, torch.Tensor) or (present.shape, present.dtype) != (item.shape, item.dtype):
-        return item.clone()
-    if 0 in present.stride() and present.numel() > 1:  # An expanded tensor cannot be written to.
-        return item.clone()
-    with torch.inference_mode() if present.is_inference() else torch.no_grad():
-        return present.copy_(item)
 
 
 def _container_again(tag: str, item: dict[str, Any], present: Any) -> Any:

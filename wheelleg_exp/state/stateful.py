@@ -106,12 +106,12 @@ def _settings(value: Any) -> tuple[str, ...]:
 def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
     """Return the error for an object with state that cannot be saved."""
     why = "points back at itself" if isinstance(error, RecursionError) else str(error)
-    return ConfigError(
-        f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ",
-        key=key,
-        expected="tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in "
-        "it instead of an iterator), or objects with state_dict and load_state_dict of their own",
+    message = f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ"
+    expected = (
+        "tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in it "
     )
+    expected += "instead of an iterator), or objects with state_dict and load_state_dict of their own"
+    return ConfigError(message, key=key, expected=expected)
 
 
 class _Attributes:
@@ -132,8 +132,7 @@ class _Attributes:
 
 def stateful(value: Any, key: str) -> Any:
     """Return an object that saves and restores ``value``: the value itself if it has ``state_dict``."""
-    itself = hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
-    return value if itself else _Attributes(value, key)
+    return value if hasattr(value, "state_dict") and hasattr(value, "load_state_dict") else _Attributes(value, key)
 
 
 class Settings:
@@ -145,17 +144,13 @@ class Settings:
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
-        self._groups = dict(groups)
-        self._key = key
-        self._skip = frozenset(skip)
+        self._groups, self._key, self._skip = dict(groups), key, frozenset(skip)
         self._base = self._snapshots()
 
     def _snapshots(self) -> dict[str, dict[str, Any]]:
         try:
-            return {
-                group: {name: snapshot(value, name) for name, value in values.items() if name not in self._skip}
-                for group, values in self._groups.items()
-            }
+            own = {g: {n: v for n, v in values.items() if n not in self._skip} for g, values in self._groups.items()}
+            return {group: {name: snapshot(v, name) for name, v in values.items()} for group, values in own.items()}
         except Unsaveable as error:
             raise ConfigError(f"a setting {error}, whose state cannot be saved", key=self._key) from error
 
@@ -165,15 +160,14 @@ class Settings:
         for group, values in self._snapshots().items():
             for name, now in values.items():
                 was = self._base[group].get(name, NOTHING)
-                if not same(now, was):
-                    found.setdefault(group, {})[name] = self._change(name, was, now)
+                if same(now, was):
+                    continue
+                try:
+                    change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
+                except Unsaveable as error:
+                    raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
+                found.setdefault(group, {})[name] = change
         return found
-
-    def _change(self, name: str, was: Any, now: Any) -> dict[str, Any]:
-        try:
-            return {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
-        except Unsaveable as error:
-            raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned; all other settings get the value from the config."""

@@ -44,21 +44,15 @@ class Outside:
             was, item = self._before.get(place, NOTHING), now.get(place, NOTHING)
             if was is not item and not same(was, item):
                 key, name = place
-                raise ConfigError(
-                    f"a term has changed {name}, but no checkpoint saves this place",
-                    key=key,
-                    expected="a class term that stores it on self",
-                )
+                message = f"a term has changed {name}, but no checkpoint saves this place"
+                raise ConfigError(message, key=key, expected="a class term that stores it on self")
 
     def _seen(self) -> Iterator[tuple[tuple[str, str], Any]]:
         for key, code in self._code.items():
             for name, item in _code_values(code):
                 if hasattr(item, "__next__"):
-                    raise ConfigError(
-                        f"{name} is a {type(item).__name__}, whose state cannot be saved",
-                        key=key,
-                        expected="a class term with a number on self, set in __init__",
-                    )
+                    message = f"{name} is a {type(item).__name__}, whose state cannot be saved"
+                    raise ConfigError(message, key=key, expected="a class term with a number on self, set in __init__")
                 yield (key, name), _contents(item, name)
         for key, value in self._parts.items():
             own = key in self._own
@@ -188,11 +182,8 @@ class Memory:
 
 
 def _refusal(owner: str, message: str) -> ConfigError:
-    return ConfigError(
-        f"{message}, which a resumed run could not make again",
-        key=owner,
-        expected="a clone() of what belongs to others, and one name for each tensor and list",
-    )
+    expected = "a clone() of what belongs to others, and one name for each tensor and list"
+    return ConfigError(f"{message}, which a resumed run could not make again", key=owner, expected=expected)
 
 
 def _places(items: Mapping[str, Any], owner: str) -> Iterator[_Place]:

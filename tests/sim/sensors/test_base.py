@@ -1,5 +1,8 @@
 import pytest
 import torch
+from managers.spies import Altimeter
+
+from wheelleg_exp.sim.sensors import SensorBase
 
 from sim.small_envs import run
 
@@ -50,3 +53,22 @@ def test_it_continues_from_its_saved_state(start_env, period):
         other.step(torch.ones(4, 4))
         assert torch.equal(sensor.height, same.height)
         assert torch.equal(sensor.measured, same.measured)
+
+
+class WithoutRefresh(Altimeter):
+    reset, refresh = SensorBase.reset, SensorBase.refresh
+
+
+@pytest.mark.parametrize("period", [0.0, 0.03])
+def test_the_first_observation_of_an_episode_shows_a_new_measurement(make_env, period):
+    sensors = {"height": {"_target_": "sim.sensors.test_base.WithoutRefresh", "update_period": period}}
+    env = make_env(scene={"sensors": sensors})
+    env.reset()
+    for _ in range(4):
+        env.step(torch.zeros(4, 4))
+    before = env.scene["height"].height.clone()
+    env.reset(env_ids=torch.tensor([2]))
+    after, base = env.scene["height"].height, env.scene.robot.data.root_pos_w[:, 2]
+    torch.testing.assert_close(after[2], base[2], atol=0.01, rtol=0)
+    assert abs(float(before[2] - base[2])) > 0.02
+    assert torch.equal(after[[0, 1, 3]], before[[0, 1, 3]])

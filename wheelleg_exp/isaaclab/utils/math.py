@@ -133,8 +133,7 @@ def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Return Rz(yaw) Ry(pitch) Rx(roll), (..., 4), for angles (...)."""
-    quat = rotation.quat_from_euler_xyz(*(angle.reshape(-1) for angle in (roll, pitch, yaw)))
-    return quat.view(*roll.shape, 4)
+    return rotation.quat_from_euler_xyz(*(angle.reshape(-1) for angle in (roll, pitch, yaw))).view(*roll.shape, 4)
 
 
 def euler_xyz_from_quat(
@@ -152,8 +151,7 @@ def euler_xyz_from_quat(
 
 def matrix_from_quat(quaternions: torch.Tensor) -> torch.Tensor:
     """Return rotation matrices (..., 3, 3) of quaternions of any length but 0."""
-    matrix = rotation.quat_to_matrix(normalize(quaternions).reshape(-1, 4))
-    return matrix.view(*quaternions.shape[:-1], 3, 3)
+    return rotation.quat_to_matrix(normalize(quaternions).reshape(-1, 4)).view(*quaternions.shape[:-1], 3, 3)
 
 
 def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
@@ -274,8 +272,7 @@ def convert_camera_frame_orientation_convention(
     orientation: torch.Tensor, origin: Convention = "opengl", target: Convention = "ros"
 ) -> torch.Tensor:
     """Convert camera orientations (..., 4) between the conventions ``opengl``, ``ros`` and ``world``."""
-    flat = orientation.reshape(-1, 4)
-    return convert_convention(flat, origin, target).reshape(orientation.shape)
+    return convert_convention(orientation.reshape(-1, 4), origin, target).reshape(orientation.shape)
 
 
 def create_rotation_matrix_from_view(
@@ -313,8 +310,7 @@ def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: boo
     Shapes are as in ``orthogonalize_perspective_depth``. ``is_ortho`` means distances along the camera's axis, m, not
     along the rays of the pixels.
     """
-    along = depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics)
-    pictures = _pictures(along)
+    pictures = _pictures(depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics))
     v, u = _pixels(pictures)
     pixels = torch.stack((u, v, torch.ones_like(u)), dim=-1)
     rays = torch.einsum("nij,hwj->nhwi", torch.linalg.inv(intrinsics.reshape(-1, 3, 3)), pixels)

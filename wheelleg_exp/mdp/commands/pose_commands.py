@@ -135,8 +135,8 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
         del drawn
         patches, terrain = self._patches[0], self._env.scene.terrain
-        device = patches.device
-        chosen = torch.randint(patches.shape[2], (len(env_ids),), generator=self._generator, device=device)
+        size, device = (len(env_ids),), patches.device
+        chosen = torch.randint(patches.shape[2], size, generator=self._generator, device=device)
         return patches[terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids], chosen]
 
 

@@ -7,17 +7,8 @@ from typing import Annotated, Any, Literal, get_args
 
 import torch
 
-from wheelleg_exp.constraints import (
-    Broken,
-    Count,
-    Interval,
-    Length,
-    NonNegativeInterval,
-    Ordered,
-    Positive,
-    Share,
-    relation,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Broken, Interval, Length, NonNegativeInterval, Positive, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.sim import rotation
@@ -38,9 +29,7 @@ def draw(
     if distribution == "gaussian":
         return low + high * torch.randn(shape, generator=generator, device=generator.device)
     u = torch.rand(shape, generator=generator, device=generator.device)
-    if distribution == "log_uniform":
-        return low * (high / low) ** u
-    return low + (high - low) * u
+    return low * (high / low) ** u if distribution == "log_uniform" else low + (high - low) * u
 
 
 def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) -> torch.Tensor:
@@ -112,8 +101,8 @@ class randomize_rigid_body_material(TermBase):
         env: Env,
         static_friction_range: NonNegativeInterval,
         dynamic_friction_range: NonNegativeInterval,
-        restitution_range: Annotated[Sequence[Share], Ordered()],
-        num_buckets: Count,
+        restitution_range: Annotated[Sequence[constraints.Share], constraints.Ordered()],
+        num_buckets: constraints.Count,
         generator: torch.Generator,
         make_consistent: bool = False,
         asset_cfg: SceneEntityCfg = _ROBOT,

@@ -78,19 +78,15 @@ def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
         if is_index(field):
             values = array.view(_TIMELINE_TYPES[field.name]) if field.name in _TIMELINE_TYPES else array
         elif is_component(field) and name not in found:
-            values = _component_values(name, array)
+            wanted = _COMPONENT_TYPES.get(name, array.type)
+            if array.type == wanted:
+                values = array
+            elif _is_convertible(array.type, wanted):
+                values = array.cast(wanted, safe=False)
         if values is not None:
             found[name] = (field.with_type(values.type), values)
-    arrays = [array for _, array in found.values()]
     schema = pa.schema([field for field, _ in found.values()], metadata=batch.schema.metadata)
-    return pa.RecordBatch.from_arrays(arrays, schema=schema)
-
-
-def _component_values(name: str, array: pa.Array) -> pa.Array | None:
-    wanted = _COMPONENT_TYPES.get(name)
-    if wanted is None or array.type == wanted:
-        return array
-    return array.cast(wanted, safe=False) if _is_convertible(array.type, wanted) else None
+    return pa.RecordBatch.from_arrays([array for _, array in found.values()], schema=schema)
 
 
 def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,7 @@ class EntityRows:
 
     def entities(self) -> list[str]:
         """Return the sorted paths of the rerun entities, without a leading slash. Hidden entities are excluded."""
-        return list(self._sorted_entities)
+        return sorted(entity for entity in self._contents.pieces if entity and not entity.startswith(HIDDEN))
 
     def timelines(self) -> list[str]:
         """Return the names of the recorded timelines."""
@@ -66,9 +65,16 @@ class EntityRows:
         if entity not in self._tables:
             tables = [columns(batch) for batch in self._contents.rows(entity, static=False)]
             try:
-                self._tables[entity] = _sorted(pa.concat_tables(tables, promote_options="permissive").combine_chunks())
+                table = pa.concat_tables(tables, promote_options="permissive").combine_chunks()
+                if STEP in table.column_names:
+                    # A row without a control step cannot be sorted among rows with control steps.
+                    table = table.filter(table.column(STEP).is_valid()) if table.column(STEP).null_count else table
+                    steps = np.asarray(table.column(STEP))
+                    if not (steps[1:] >= steps[:-1]).all():
+                        table = table.take(np.argsort(steps, kind="stable"))
             except (pa.ArrowException, ValueError, TypeError) as error:
                 raise self._mixed(entity) from error
+            self._tables[entity] = table
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
@@ -97,14 +103,10 @@ class EntityRows:
 
     def static(self, entity: str) -> dict[str, list[Any]]:
         """Return the static values of an entity by component; an empty dictionary without static values."""
-        return {name: python_values(array)[0] or [] for name, array in self.static_arrays(entity).items()}
-
-    def static_arrays(self, entity: str) -> dict[str, pa.Array]:
-        """Return the static values of an entity by component, as list arrays of one row."""
         path = entity.strip("/")
         if path not in self._statics:
             self._statics[path] = latest(self._contents.rows(path, static=True))
-        return dict(self._statics[path])
+        return {name: python_values(array)[0] or [] for name, array in self._statics[path].items()}
 
     def has_rows(self, entity: str) -> bool:
         """Return whether an entity was recorded over time."""
@@ -120,21 +122,6 @@ class EntityRows:
         """The health of the recording's file."""
         return self._contents.health
 
-    @cached_property
-    def _sorted_entities(self) -> list[str]:
-        return sorted(entity for entity in self._contents.pieces if entity and not entity.startswith(HIDDEN))
-
     def _mixed(self, entity: str) -> RunDirectoryError:
         message = f"the rows of '{entity}' of '{self.path}' have different types"
         return RunDirectoryError(message, expected="a recording that is not damaged")
-
-
-def _sorted(table: pa.Table) -> pa.Table:
-    if STEP not in table.column_names:
-        return table
-    if table.column(STEP).null_count:  # A row without a control step cannot be sorted among rows with control steps.
-        table = table.filter(table.column(STEP).is_valid())
-    steps = np.asarray(table.column(STEP))
-    if (steps[1:] >= steps[:-1]).all():
-        return table
-    return table.take(np.argsort(steps, kind="stable"))

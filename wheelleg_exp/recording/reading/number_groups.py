@@ -37,8 +37,7 @@ class NumberNames:
 
     def __init__(self, rows: EntityRows) -> None:
         self._rows = rows
-        numeric = (e for e in rows.entities() if rows.has_rows(e) and is_numeric(rows, e))
-        self._entities = dict.fromkeys(numeric)
+        self._entities = dict.fromkeys(e for e in rows.entities() if rows.has_rows(e) and is_numeric(rows, e))
         self._by_branch: dict[str, dict[str, Number]] = {}
 
     @cached_property
@@ -86,15 +85,18 @@ class NumberNames:
 
     def _numbers(self, entity: str, depth: int) -> Iterator[Number]:
         below = [unescaped(part) for part in parts_of(entity)[depth:]]
-        names = self._rows.number_names(entity)
-        width = self._rows.width(entity)
-        if width > _WIDEST:
-            return
+        names, width = self._rows.number_names(entity), self._rows.width(entity)
         if width == 1 and below:
             yield Number(".".join(below), entity, 0)
-            return
-        for i in range(width):
-            yield Number(_dotted(below, names[i] if i < len(names) else f"[{i}]"), entity, i)
+        elif width <= _WIDEST:
+            for i in range(width):
+                name = names[i] if i < len(names) else f"[{i}]"
+                if name.startswith("["):
+                    dotted = ".".join(below) + name
+                else:
+                    repeats = below and name.startswith(f"{below[-1]}[")
+                    dotted = ".".join([*(below[:-1] if repeats else below), name])
+                yield Number(dotted, entity, i)
 
     def _within_bounds(self, numbers: Iterable[Number]) -> Iterator[Number]:
         for count, number in enumerate(numbers):
@@ -121,23 +123,13 @@ def unescaped(part: str) -> str:
     return re.sub(r"\\(.)", r"\1", part)
 
 
-def _dotted(below: list[str], name: str) -> str:
-    """Return the dotted name of a number within its group."""
-    if name.startswith("["):
-        return ".".join(below) + name
-    if below and name.startswith(f"{below[-1]}["):
-        below = below[:-1]
-    return ".".join([*below, name])
-
-
 def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
     """Return a table of timelines and numbers, sorted by control step; a missing number is NaN."""
     timeline = _timeline(rows, [n.entity for n in numbers])
     columns = {name: pa.array(column) for name, column in timeline.columns.items()}
     for number in numbers:
-        values = rows.matrix(number.entity)[:, number.index]
         name = number.name if number.name not in columns else f"{number.name}_"
-        columns[name] = pa.array(timeline.placed(number.entity, values))
+        columns[name] = pa.array(timeline.placed(number.entity, rows.matrix(number.entity)[:, number.index]))
     return pa.table(columns)
 
 

@@ -98,14 +98,8 @@ class Contents:
                 stores = _stores(closed)
             if stores is None:
                 raise _unreadable(path, "no message can be read")
-        self.health = Health(
-            size=file.size,
-            readable=file.size if is_closed else readable,
-            messages=len(messages),
-            is_closed=is_closed,
-            damaged=unreadable + file.is_followed_by_damage(last),
-            writer=_writer(file.header),
-        )
+        readable, damaged = file.size if is_closed else readable, unreadable + file.is_followed_by_damage(last)
+        self.health = Health(file.size, readable, len(messages), is_closed, damaged, _writer(file.header))
         self.recording_id = self._chosen(stores, recording_id)
         self.pieces: Mapping[str, list[Piece]] = defaultdict(list)
         for chunk in stores["recording", self.recording_id]:
@@ -212,17 +206,13 @@ def _opened(path: Path) -> RrdFile:
     if head[:3] != MAGIC[:3]:
         raise RunDirectoryError(f"'{path}' is not a rerun recording", expected="a file that starts with 'RRF2'")
     if head[:4] != MAGIC:
-        form = head[:4].decode("latin-1")
-        raise RunDirectoryError(
-            f"the recording '{path}' has another format ({form!r})", expected="'RRF2', which rerun writes since 0.23"
-        )
+        message = f"the recording '{path}' has another format ({head[:4].decode('latin-1')!r})"
+        raise RunDirectoryError(message, expected="'RRF2', which rerun writes since 0.23")
     if len(head) < HEADER_SIZE:
         raise RunDirectoryError(f"the recording '{path}' is cut off in its header", expected="a whole recording")
     if head[SERIALIZER_AT] != PROTOBUF:
-        raise RunDirectoryError(
-            f"the recording '{path}' was written by rerun {_writer(head)}, in a format that is no longer supported",
-            expected="a recording of rerun 0.23 or later",
-        )
+        old = f"the recording '{path}' was written by rerun {_writer(head)}, in a format that is no longer supported"
+        raise RunDirectoryError(old, expected="a recording of rerun 0.23 or later")
     return file
 
 
@@ -235,7 +225,5 @@ def _unreadable(path: Path, reason: str) -> RunDirectoryError:
     message = f"the recording '{path}' cannot be read: {reason}"
     if known.split(".")[:2] == writer.split(".")[:2]:
         return RunDirectoryError(message, expected="a recording that is not damaged")
-    return RunDirectoryError(
-        f"{message}; it was written by rerun {writer}",
-        expected=f"a recording of rerun {known}, to which 'rerun rrd migrate' may convert it",
-    )
+    expected = f"a recording of rerun {known}, to which 'rerun rrd migrate' may convert it"
+    return RunDirectoryError(f"{message}; it was written by rerun {writer}", expected=expected)

@@ -40,11 +40,9 @@ def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str
     """Return a sha256 of each rerun entity's content, by the entity path."""
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
-    counted = [name for name in sorted(names) if name and not name.startswith(HIDDEN)]
-    below = tuple(f"{path}/" for path in left_out)
-    return {
-        name: _digest(contents, names[name]) for name in counted if name not in left_out and not name.startswith(below)
-    }
+    heads = (HIDDEN, *(f"{path}/" for path in left_out))
+    counted = [name for name in sorted(names) if name and name not in left_out and not name.startswith(heads)]
+    return {name: _digest(contents, names[name]) for name in counted}
 
 
 def _digest(contents: Contents, entity: str) -> str:

@@ -14,19 +14,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from wheelleg_exp.errors import RunDirectoryError, nearest_name
-from wheelleg_exp.recording.layout import (
-    BRANCH,
-    DOCUMENTS,
-    ITERATION,
-    LOG,
-    OWN,
-    PROPERTIES,
-    SIM_TIME,
-    STEP,
-    TRAINING,
-    join,
-    key_below,
-)
+from wheelleg_exp.recording import layout
+from wheelleg_exp.recording.layout import BRANCH, DOCUMENTS, ITERATION, OWN, SIM_TIME, STEP
 from wheelleg_exp.recording.reading import number_groups
 from wheelleg_exp.recording.reading.arrow_values import LONGEST_TEXT, as_number, python_values
 from wheelleg_exp.recording.reading.entity_rows import EntityRows
@@ -56,7 +45,7 @@ class Event:
 
 def _events(entity: str, rows: EntityRows) -> Iterator[Event]:
     head, _, kind = BRANCH.sub("", entity, count=1).rpartition("/")
-    if head != LOG or not rows.has_rows(entity):
+    if head != layout.LOG or not rows.has_rows(entity):
         return
     table, branch = rows.rows(entity), BRANCH.match(entity)
     columns = (python_values(table.column(n)) if n in table.column_names else [None] * len(table) for n in _COLUMNS)
@@ -98,14 +87,11 @@ class Recording(EntityRows):
         RunDirectoryError.
         """
         path = self._resolved(name, env_id)
-        if self.has_rows(path):
-            return self.rows(path)
-        return self.numbers(name, env_id)
+        return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)
 
     def numbers(self, name: str, env_id: int | None = None) -> pa.Table:
         """Return the numbers of an entity or a group, in the format of ``table`` for a group."""
-        path = self._resolved(name, env_id)
-        return self.columns_of(self._names.numbers_of(path))
+        return self.columns_of(self._names.numbers_of(self._resolved(name, env_id)))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
         """Return by dotted name all numbers of an environment, and the numbers that belong to no environment."""
@@ -139,12 +125,11 @@ class Recording(EntityRows):
 
     def documents(self) -> list[str]:
         """Return the names of the recorded texts."""
-        keys = (key_below(DOCUMENTS, entity) for entity in self.entities())
-        return [key for key in keys if key is not None]
+        return [key for e in self.entities() if (key := layout.key_below(DOCUMENTS, e)) is not None]
 
     def document(self, name: str) -> str | None:
         """Return the recorded text with a name; None if the text does not exist."""
-        text = self.static(join(DOCUMENTS, name)).get("text")
+        text = self.static(layout.join(DOCUMENTS, name)).get("text")
         return str(text[0]) if text else None
 
     @cached_property
@@ -153,11 +138,9 @@ class Recording(EntityRows):
         found: dict[str, Mapping[str, Any]] = {}
         for entity in self._contents.pieces:
             root, _, name = entity.partition("/")
-            if root == PROPERTIES:
-                values = self.static(entity)
-                found[name or "RecordingInfo"] = {
-                    k: _plain_value(v[0] if len(v) == 1 else v) for k, v in values.items()
-                }
+            if root == layout.PROPERTIES:
+                values = {k: _plain_value(v[0] if len(v) == 1 else v) for k, v in self.static(entity).items()}
+                found[name or "RecordingInfo"] = values
         return found
 
     @cached_property
@@ -168,7 +151,7 @@ class Recording(EntityRows):
             return purpose
         # Recordings of format 1 contain no properties.
         parts = {BRANCH.sub("", entity).split("/")[0] for entity in self.entities()}
-        return "training" if TRAINING in parts else "play" if {"rewards", "terminations"} <= parts else None
+        return "training" if layout.TRAINING in parts else "play" if {"rewards", "terminations"} <= parts else None
 
     @cached_property
     def env_ids(self) -> list[int]:
@@ -212,10 +195,8 @@ class Recording(EntityRows):
         was not recorded.
         """
         if env_id is not None and env_id not in self.env_ids:
-            raise RunDirectoryError(
-                f"environment {env_id} was not recorded in '{self.path}'",
-                expected="one of " + ", ".join(map(str, self.env_ids)),
-            )
+            message = f"environment {env_id} was not recorded in '{self.path}'"
+            raise RunDirectoryError(message, expected="one of " + ", ".join(map(str, self.env_ids)))
         chosen = self.env_ids[0] if env_id is None else env_id
         return f"env_{chosen}" if chosen in self.branches else ""
 
@@ -236,8 +217,6 @@ class Recording(EntityRows):
             return path
         names = sorted({*(e for e in self.entities() if self.has_rows(e)), *self._names.groups})
         known = [n.removeprefix(f"{self.branch(env_id)}/") for n in names]
-        raise RunDirectoryError(
-            f"the recording '{self.path}' has no rows at '{name}'",
-            expected="one of: " + ", ".join(known[:40]) + (", …" if len(known) > 40 else ""),
-            nearest=nearest_name(name.strip("/"), known),
-        )
+        message = f"the recording '{self.path}' has no rows at '{name}'"
+        expected = "one of: " + ", ".join(known[:40]) + (", …" if len(known) > 40 else "")
+        raise RunDirectoryError(message, expected=expected, nearest=nearest_name(name.strip("/"), known))

@@ -133,7 +133,14 @@ class Feed:
 def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
     """Open rerun's viewer and send the recording to the viewer until standard input closes at the end of the run."""
     port = free_port()
-    process = _open([word.replace("{port}", str(port)) for word in viewer] or viewer_command(port))
+    command = [word.replace("{port}", str(port)) for word in viewer] or viewer_command(port)
+    silent = subprocess.DEVNULL
+    try:
+        process = subprocess.Popen(
+            command, env=viewer_environment(), stdin=silent, stdout=silent, stderr=silent, start_new_session=True
+        )
+    except OSError as error:
+        raise ViewerLostError(str(error)) from error
     _wait_for(port, process)
     feed, is_over = Feed(path, folder, port, lambda: process.poll() is None), False
     while not is_over:
@@ -142,20 +149,6 @@ def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
         if process.poll() is not None:
             raise ViewerLostError("the viewer was closed")
         feed.step()
-
-
-def _open(command: list[str]) -> subprocess.Popen[bytes]:
-    try:
-        return subprocess.Popen(
-            command,
-            env=viewer_environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-    except OSError as error:
-        raise ViewerLostError(str(error)) from error
 
 
 def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
@@ -209,16 +202,11 @@ class LiveView:
         self._folder = Path(tempfile.mkdtemp(prefix="wheelleg-live-"))
         self.show()
         module = "wheelleg_exp.recording.writing.live_view"
-        words = [sys.executable, "-P", "-m", module, str(recorder.path), str(self._folder)]
+        words = [sys.executable, "-P", "-m", module, str(recorder.path), str(self._folder), *(viewer or [])]
         self._process: subprocess.Popen[bytes] | None = None
+        pipe, silent = subprocess.PIPE, subprocess.DEVNULL
         with contextlib.suppress(OSError):  # A run continues without a live viewer.
-            self._process = subprocess.Popen(
-                [*words, *(viewer or [])],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
+            self._process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=silent, start_new_session=True)
             threading.Thread(target=_print_messages, args=(self._process,), daemon=True).start()
 
     def close(self) -> None:
@@ -230,13 +218,12 @@ class LiveView:
     def show(self) -> None:
         """Update the layout of rerun's viewer for the data that has been recorded."""
         state = self._recorder.layout_state()
-        if self._shown == (len(state[2]), len(state[3])):
-            return
-        self._shown = (len(state[2]), len(state[3]))
-        with contextlib.suppress(OSError):
-            temporary = self._folder / f"{LAYOUT}.tmp"
-            temporary.write_bytes(pickle.dumps(state))
-            temporary.replace(self._folder / LAYOUT)
+        before, self._shown = self._shown, (len(state[2]), len(state[3]))
+        if self._shown != before:
+            with contextlib.suppress(OSError):
+                temporary = self._folder / f"{LAYOUT}.tmp"
+                temporary.write_bytes(pickle.dumps(state))
+                temporary.replace(self._folder / LAYOUT)
 
 
 def _print_messages(process: subprocess.Popen[bytes]) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-import mujoco
 import numpy as np
 import rerun as rr
 import torch
@@ -17,14 +16,8 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.recording.blueprint import EnvLayout
 from wheelleg_exp.recording.layout import FORMAT_VERSION, GROUND, EnvPaths, join
 from wheelleg_exp.recording.recording_options import Sample
-from wheelleg_exp.recording.writing import rerun_shapes
-from wheelleg_exp.recording.writing.recorded_frames import (
-    Episodes,
-    Frames,
-    Stamp,
-    environment_channels,
-    velocity_command,
-)
+from wheelleg_exp.recording.writing import recorded_frames, rerun_shapes
+from wheelleg_exp.recording.writing.recorded_frames import Episodes, Frames, Stamp, velocity_command
 from wheelleg_exp.recording.writing.rerun_shapes import Columns, Contacts, Ground, VelocityArrows, geom_name, shape
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.rendering.scene_models import Kinematics, body_geoms, is_plane
@@ -104,18 +97,12 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
         gains = torch.stack((actuator.stiffness[env_id], actuator.damping[env_id]), dim=1).tolist()
         drives.update(zip(actuator.joint_names, map(tuple, gains), strict=True))
     for i, joint in enumerate(robot.joint_names):
-        low, high = data.joint_pos_limits[env_id, i].tolist()
-        stiffness, damping = drives.get(joint, (math.nan, math.nan))
-        limits = rr.AnyValues(
-            effort_limit=float(data.joint_effort_limits[env_id, i]),
-            velocity_limit=float(data.soft_joint_vel_limits[env_id, i]),
-            position_low=low,
-            position_high=high,
-            default_position=float(data.default_joint_pos[env_id, i]),
-            stiffness=stiffness,
-            damping=damping,
-        )
-        yield paths.data("joints", joint), [limits]
+        values: dict[str, Any] = {"effort_limit": float(data.joint_effort_limits[env_id, i])}
+        values["velocity_limit"] = float(data.soft_joint_vel_limits[env_id, i])
+        values["position_low"], values["position_high"] = data.joint_pos_limits[env_id, i].tolist()
+        values["default_position"] = float(data.default_joint_pos[env_id, i])
+        values["stiffness"], values["damping"] = drives.get(joint, (math.nan, math.nan))
+        yield paths.data("joints", joint), [rr.AnyValues(**values)]
     yield paths.data("state"), [rr.AnyValues(origin=env.scene.env_origins[env_id].tolist())]
 
 
@@ -123,13 +110,6 @@ MEGABYTE = 1_000_000
 # The measured numbers of bytes of a chunk's metadata with its index entry, of a row's three times, of a transform, and
 # of a number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
-_FACE, _CELL, _TEXTS = 150, 40, 2 * MEGABYTE
-
-
-def static_bytes(model: mujoco.MjModel, envs: int) -> float:
-    """Return an upper estimate of the bytes of all shapes, texts and names of a recording."""
-    return envs * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
-
 
 # The lengths of arrows are proportional to the robot's height, so that the arrows are readable for a robot of any size.
 _HEIGHTS_PER_WEIGHT = 0.6
@@ -139,20 +119,8 @@ _LIFT = 0.45
 _LIGHT, _DARK = (92, 98, 108, 255), (74, 79, 88, 255)
 _TILES = 40
 _EVENT = (235, 235, 235)
-_PALETTE = (
-    (86, 156, 255),
-    (255, 159, 64),
-    (92, 205, 120),
-    (240, 98, 98),
-    (178, 132, 255),
-    (214, 178, 94),
-    (255, 136, 200),
-    (96, 210, 214),
-    (170, 176, 186),
-    (190, 214, 72),
-    (150, 110, 90),
-    (120, 140, 255),
-)
+_HEX_COLOURS = "569CFF FF9F40 5CCD78 F06262 B284FF D6B25E FF88C8 60D2D6 AAB0BA BED648 966E5A 788CFF"
+_PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 
 
 class RecordedEnvironment:
@@ -175,7 +143,7 @@ class RecordedEnvironment:
         self.stamps: list[Stamp] = []
         self.sample = Sample()
         self.episodes = Episodes()
-        self.frames = Frames(environment_channels(env, env_id, paths, self.episodes))
+        self.frames = Frames(recorded_frames.environment_channels(env, env_id, paths, self.episodes))
         self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
         # Read every channel once, so that a wrong width raises an error at construction and not during a control step.
@@ -183,13 +151,9 @@ class RecordedEnvironment:
         self.frames.clear()
         self._draw(env)
         self._place = place
-        robot = env.scene.robot
-        free = {
-            joint
-            for actuator in robot.actuators.values()
-            for joint, stiffness in zip(actuator.joint_names, actuator.stiffness[0].tolist(), strict=True)
-            if stiffness == 0.0
-        }
+        robot, stiffness = env.scene.robot, dict[str, float]()
+        for actuator in robot.actuators.values():
+            stiffness.update(zip(actuator.joint_names, actuator.stiffness[0].tolist(), strict=True))
         self.layout = EnvLayout(
             label=f"env {env_id}",
             paths=paths,
@@ -197,7 +161,7 @@ class RecordedEnvironment:
             size=self._size,
             command=velocity_command(env),
             sensors=tuple(contact.sensor for contact in self._contacts),
-            joints={joint: joint not in free for joint in robot.joint_names},
+            joints={joint: stiffness.get(joint) != 0.0 for joint in robot.joint_names},
             rewards=tuple(env.reward_manager.active_terms),
             observations={group: tuple(terms) for group, terms in env.observation_manager.active_terms.items()},
         )
@@ -207,8 +171,7 @@ class RecordedEnvironment:
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
         # The bytes of the three angles, the norms and arrows of contact forces, and the two velocities are added,
         # because these drawn entities have no channel.
-        drawn = 3 + 2 * len(self._contacts) + 2
-        entities = len(recorded) + drawn + len(self._bodies)
+        entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
         content = _NUMBER * numbers + _TRANSFORM * len(self._bodies) + _TIMES * entities
@@ -296,8 +259,8 @@ class RecordedEnvironment:
             if archetypes := shape(self._model, geom):
                 # A collider moves with its MuJoCo body. Its entity path is not below the body's path, so that one click
                 # hides all colliders.
-                frame = rr.CoordinateFrame(f"tf#/{entity}")
-                yield f"{place}/{join(geom_name(self._model, geom))}", [*archetypes, frame]
+                shown = [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
+                yield f"{place}/{join(geom_name(self._model, geom))}", shown
 
     def _series(self) -> StaticEntities:
         for channel in self.frames.channels:
@@ -320,11 +283,10 @@ def series(names: Any, first: int = 0) -> Any:
 
     Commands and targets have paler colours than measured values.
     """
-    shades = []
+    shades = [np.array(_PALETTE[(first + i) % len(_PALETTE)]) for i in range(len(names))]
     for i, name in enumerate(names):
-        shade = np.array(_PALETTE[(first + i) % len(_PALETTE)])
-        pale = name.endswith(("target", "command"))
-        shades.append((0.45 * shade + 0.55 * 255).astype(np.uint8) if pale else shade)
+        if name.endswith(("target", "command")):
+            shades[i] = (0.45 * shades[i] + 0.55 * 255).astype(np.uint8)
     return rr.SeriesLines(names=list(names), colors=shades)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import mujoco
@@ -44,10 +45,8 @@ def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, e
     Body poses have no channel, because they are computed from ``qpos`` when the frames are written.
     """
     parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
-    return [
-        *(channel for part in parts for channel in part(env, env_id, paths)),
-        _episode(env, env_id, paths, episodes),
-    ]
+    channels = [channel for part in parts for channel in part(env, env_id, paths)]
+    return [*channels, _episode(env, env_id, paths, episodes)]
 
 
 def velocity_command(env: ManagerBasedRLEnv) -> str | None:
@@ -87,16 +86,11 @@ def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]
 def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
     """Return the name of each coordinate of qpos or qvel: the joint, with a suffix for several coordinates."""
     ball = ("w", "x", "y", "z") if len(free) == len(_FREE) else ("x", "y", "z")
+    several = {int(mujoco.mjtJoint.mjJNT_FREE): free, int(mujoco.mjtJoint.mjJNT_BALL): ball}
     names = []
     for j in range(model.njnt):
-        joint = model.joint(j).name or f"joint_{j}"
-        kind = int(model.jnt_type[j])
-        if kind == mujoco.mjtJoint.mjJNT_FREE:
-            names += [f"{joint}.{part}" for part in free]
-        elif kind == mujoco.mjtJoint.mjJNT_BALL:
-            names += [f"{joint}.{part}" for part in ball]
-        else:
-            names.append(joint)
+        joint, parts = model.joint(j).name or f"joint_{j}", several.get(int(model.jnt_type[j]))
+        names += [joint] if parts is None else [f"{joint}.{part}" for part in parts]
     return names
 
 
@@ -126,27 +120,23 @@ def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channe
         "effort": lambda: data.applied_torque,
         "effort_computed": lambda: data.computed_torque,
     }
-    return [
-        Channel(
-            f"joints/{kind}",
-            tuple(f"{name} target" if kind.endswith("target") else name for name in names),
-            row(read, env_id),
-            tuple(paths.data("joints", name, kind) for name in names),
-        )
-        for kind, read in reads.items()
-    ]
+    found = []
+    for kind, read in reads.items():
+        shown = tuple(f"{name} target" if kind.endswith("target") else name for name in names)
+        entities = tuple(paths.data("joints", name, kind) for name in names)
+        found.append(Channel(f"joints/{kind}", shown, row(read, env_id), entities))
+    return found
 
 
 def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
     found = []
     for name, sensor in env.scene.sensors.items():
-        if not isinstance(sensor, ContactSensor):
-            continue
-        names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
-        read = row(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
-        found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
-        peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
-        found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))
+        if isinstance(sensor, ContactSensor):
+            names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
+            read = row(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
+            found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
+            peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
+            found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))
     return found
 
 
@@ -164,10 +154,8 @@ class Frames:
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.channels = list(channels)
-        ends = np.cumsum([len(channel.names) for channel in self.channels]).tolist()
-        starts = [0, *ends[:-1]]
-        self._slices = [slice(a, b) for a, b in zip(starts, ends, strict=True)]
-        self._readers = [(c.read, s) for c, s in zip(self.channels, self._slices, strict=True)]
+        ends = np.cumsum([0, *(len(channel.names) for channel in self.channels)]).tolist()
+        self._slices = [slice(a, b) for a, b in pairwise(ends)]
         self._rows = np.empty((_FIRST_CAPACITY, ends[-1]))
         self.count = 0
 
@@ -176,8 +164,8 @@ class Frames:
         if self.count == len(self._rows):
             self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
         row = self._rows[self.count]
-        for read, columns in self._readers:
-            row[columns] = read()
+        for channel, columns in zip(self.channels, self._slices, strict=True):
+            row[columns] = channel.read()
         self.count += 1
 
     def blocks(self) -> dict[str, Array]:
@@ -227,10 +215,8 @@ def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chann
 def _action_names(env: ManagerBasedRLEnv, widths: dict[str, int]) -> list[str]:
     names: list[str] = []
     for name, width in widths.items():
-        joints = getattr(env.action_manager.get_term(name), "joint_names", None)
-        if joints is None or len(joints) != width:
-            joints = [str(i) for i in range(width)]
-        names += [f"{name}[{joint}]" for joint in joints]
+        joints = getattr(env.action_manager.get_term(name), "joint_names", None) or ()
+        names += [f"{name}[{joint}]" for joint in (joints if len(joints) == width else range(width))]
     return names
 
 
@@ -238,14 +224,12 @@ def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
     manager, found = env.observation_manager, []
     for group, terms in manager.active_terms.items():
         for term, shape in zip(terms, manager.group_obs_term_dim[group], strict=True):
-            if len(shape) > 2:  # Images are not recorded as numbers.
-                continue
-            # The first of two axes is the observation history.
-            histories = [f"@{h}" for h in range(shape[0])] if len(shape) == 2 else [""]
-            names = [f"{term}[{i}]{history}" for history in histories for i in range(shape[-1])]
-            read = _observation(env, env_id, group, term, len(names))
-            key = ("observations", group, term)
-            found.append(one("/".join(key), paths.data(*key), names, read))
+            if len(shape) <= 2:  # Images are not recorded as numbers.
+                # The first of two axes is the observation history.
+                histories = [f"@{h}" for h in range(shape[0])] if len(shape) == 2 else [""]
+                names = [f"{term}[{i}]{history}" for history in histories for i in range(shape[-1])]
+                read, key = _observation(env, env_id, group, term, len(names)), ("observations", group, term)
+                found.append(one("/".join(key), paths.data(*key), names, read))
     return found
 
 
@@ -257,8 +241,7 @@ def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, wid
         if value is None:
             return nothing
         mine = value[env_id : env_id + 1] if isinstance(value, torch.Tensor) else value
-        part = manager.part(group, term, mine)
-        return host_copy(part[0 if mine is not value else env_id]).ravel()
+        return host_copy(manager.part(group, term, mine)[0 if mine is not value else env_id]).ravel()
 
     return read
 

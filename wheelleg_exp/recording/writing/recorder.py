@@ -28,6 +28,7 @@ from wheelleg_exp.state.tensor_trees import host_copy
 # At least 16 frames are written together, because each rerun chunk has about 1.5 kB of metadata.
 ROWS_TOGETHER = 16
 _US = 1e6
+_FACE, _CELL, _TEXTS = 150, 40, 2 * recorded_environment.MEGABYTE
 
 
 class Recorder:
@@ -71,19 +72,15 @@ class Recorder:
         self._env, self._purpose, self._flush_every = env, purpose, flush_every
         for error in recorded_errors(list(env_ids), env.num_envs):
             raise error
-        several = len(env_ids) > 1
-        self._environments = [
-            RecordedEnvironment(env, i, EnvPaths(f"env_{i}" if several else ""), place)
-            for place, i in enumerate(env_ids)
-        ]
+        paths = [EnvPaths(f"env_{i}" if len(env_ids) > 1 else "") for i in env_ids]
+        self._environments = [RecordedEnvironment(env, i, paths[n], n) for n, i in enumerate(env_ids)]
         self._events = EventLog(env)
         self._scalars = TrainingScalars()
         self._documents: list[str] = []
         self._active, self._capturing, self._stale = False, False, False
         self._limit, self._last_words = -1, ""
-        self._about = recorded_environment.own_facts(
-            env, list(env_ids), purpose, {"run_id": recording_id, **(about or {})}
-        )
+        given = {"run_id": recording_id, **(about or {})}
+        self._about = recorded_environment.own_facts(env, list(env_ids), purpose, given)
         go_on = keep_until is not None and self.path.exists()
         self._file = RecordingFile(self.path, recording_id=recording_id, name=name, aside=go_on)
         try:
@@ -94,8 +91,7 @@ class Recorder:
 
     def frames_within(self, megabytes: float) -> int:
         """Return a number of frames that is certain to fit into a file of ``size`` MB."""
-        room = megabytes * recorded_environment.MEGABYTE - self._static_bytes()
-        return max(int(room / self._frame_bytes()), 0)
+        return max(int((megabytes * recorded_environment.MEGABYTE - self._static_bytes()) / self._frame_bytes()), 0)
 
     def megabytes(self, frames: int) -> float:
         """Return a file size in MB, rounded up to a tenth, that suffices for the given number of frames."""
@@ -103,7 +99,9 @@ class Recorder:
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def _static_bytes(self) -> float:
-        return recorded_environment.static_bytes(self._env.scene.model, len(self._environments))
+        # This is an upper estimate of the bytes of all shapes, texts, and names.
+        model, environments = self._env.scene.model, len(self._environments)
+        return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
     def _frame_bytes(self) -> float:
         return sum(recorded.frame_bytes(ROWS_TOGETHER) for recorded in self._environments)
@@ -150,7 +148,17 @@ class Recorder:
             return
         self._capturing = True
         try:
-            self._take(taken, self._stamp(step))
+            dones, stamp = host_copy(self._env.termination_manager.dones), self._stamp(step)
+            for recorded in taken:
+                recorded.capture(stamp, int(lengths[recorded.env_id]), ends=bool(dones[recorded.env_id]))
+            self._events.captured(stamp, [(recorded.env_id, recorded.paths) for recorded in taken])
+            self.captured += 1
+            if self.captured == self._limit:
+                if self._last_words:
+                    self.say(self._last_words)
+                self.stop()
+            elif self._flush_every is not None and len(taken[0].stamps) >= self._flush_every:
+                self.flush()
         finally:
             self._capturing = False
 
@@ -245,24 +253,16 @@ class Recorder:
         for recorded in self._environments:
             for entity, archetypes in recorded.statics():
                 self._file.static(entity, *archetypes)
-            _require_unique([e for channel in recorded.frames.channels for e in channel.entities], seen)
+            for entity in (entity for channel in recorded.frames.channels for entity in channel.entities):
+                if entity in seen:
+                    key = f"env.{entity.replace('/', '.')}"
+                    message = f"two channels would be recorded at '{entity}'"
+                    raise ConfigError(message, key=key, expected="a term of another name")
+                seen.add(entity)
         for entity, archetypes in self._environments[0].surroundings():
             self._file.static(entity, *archetypes)
         self._stale = True
         self._file.take_place()
-
-    def _take(self, environments: Sequence[RecordedEnvironment], stamp: Stamp) -> None:
-        lengths, dones = host_copy(self._env.episode_length_buf), host_copy(self._env.termination_manager.dones)
-        for recorded in environments:
-            recorded.capture(stamp, int(lengths[recorded.env_id]), ends=bool(dones[recorded.env_id]))
-        self._events.captured(stamp, [(recorded.env_id, recorded.paths) for recorded in environments])
-        self.captured += 1
-        if self.captured == self._limit:
-            if self._last_words:
-                self.say(self._last_words)
-            self.stop()
-        elif self._flush_every is not None and len(environments[0].stamps) >= self._flush_every:
-            self.flush()
 
     def _stamp(self, step: int, iteration: int | None = None) -> Stamp:
         iteration = self.iteration if iteration is None else iteration
@@ -272,20 +272,7 @@ class Recorder:
 def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
     """Return the rerun timelines of frames; the timeline ``iteration`` exists only if every frame has an iteration."""
     steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
-    columns = [
-        rr.TimeColumn(layout.STEP, sequence=steps),
-        rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]")),
-    ]
-    with_iteration = all(stamp.iteration >= 0 for stamp in stamps)
+    sim_times = rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]"))
+    columns = [rr.TimeColumn(layout.STEP, sequence=steps), sim_times]
+    with_iteration = bool((iterations >= 0).all())
     return [*columns, rr.TimeColumn(layout.ITERATION, sequence=iterations)] if with_iteration else columns
-
-
-def _require_unique(entities: Sequence[str], seen: set[str]) -> None:
-    for entity in entities:
-        if entity in seen:
-            raise ConfigError(
-                f"two channels would be recorded at '{entity}'",
-                key=f"env.{entity.replace('/', '.')}",
-                expected="a term of another name",
-            )
-        seen.add(entity)

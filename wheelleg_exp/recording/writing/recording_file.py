@@ -35,7 +35,14 @@ class RecordingFile:
         self._chunks: list[Chunk] = []
         self._blueprint: Any = None
         self._written = temporary_name(path) if aside else path
-        self._descriptor = _create_exclusively(self._written)
+        # An existing file is an error, so that two recorders never share a file.
+        with for_people(self._written):
+            self._written.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                self._descriptor = os.open(self._written, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            except FileExistsError:
+                message = f"the recording '{self._written}' exists and is not overwritten"
+                raise RunDirectoryError(message, expected="a free path") from None
         self.is_open = True
         self._write(encoded_header())
         self.static(PROPERTIES, rr.archetypes.RecordingInfo(name=name))
@@ -128,14 +135,3 @@ class RecordingFile:
             reason = os.strerror(error.errno).lower() if error.errno else str(error)
             message = f"cannot write the recording '{self.path}': {reason}"
             raise SimulationFailure(message, expected="room on a working disk") from error
-
-
-def _create_exclusively(path: Path) -> int:
-    # An existing file is an error, so that two recorders never share a file.
-    with for_people(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-        except FileExistsError:
-            message = f"the recording '{path}' exists and is not overwritten"
-            raise RunDirectoryError(message, expected="a free path") from None

@@ -39,8 +39,7 @@ def roll_pitch_yaw(quaternion: Array) -> Array:
     w, x, y, z = quaternion.T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.stack((roll, pitch, yaw), axis=1)
+    return np.stack((roll, pitch, np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))), axis=1)
 
 
 def xyzw(wxyz: Array) -> Array:
@@ -93,15 +92,9 @@ def _capsule(model: mujoco.MjModel, geom: int) -> list[Any]:
 
 def _mesh(model: mujoco.MjModel, geom: int) -> list[Any]:
     surface = mesh(model, geom)
-    return [
-        rr.Mesh3D(
-            vertex_positions=surface.vertices,
-            vertex_normals=surface.normals,
-            triangle_indices=surface.faces,
-            albedo_factor=colour(model, geom),
-        ),
-        rr.InstancePoses3D(translations=[model.geom_pos[geom]], quaternions=[xyzw(model.geom_quat[geom])]),
-    ]
+    drawn: dict[str, Any] = {"vertex_positions": surface.vertices, "vertex_normals": surface.normals}
+    pose = rr.InstancePoses3D(translations=[model.geom_pos[geom]], quaternions=[xyzw(model.geom_quat[geom])])
+    return [rr.Mesh3D(**drawn, triangle_indices=surface.faces, albedo_factor=colour(model, geom)), pose]
 
 
 _SHAPES = {
@@ -188,18 +181,13 @@ class VelocityArrows:
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
         """Yield for each frame one arrow for the velocity command and one arrow for the robot's velocity."""
-        origin = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift]
-        yaw = blocks["orientation"][:, 2]
+        origin, yaw = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift], blocks["orientation"][:, 2]
+        c, s = np.cos(yaw), np.sin(yaw)
         for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
-            vectors = self.scale * in_world(velocity[:, :2], yaw)
+            # Rotate the planar velocity from the base's yaw frame to the axes of the world.
+            x, y = velocity[:, 0], velocity[:, 1]
+            vectors = self.scale * np.stack((c * x - s * y, s * x + c * y, np.zeros_like(x)), axis=1)
             yield paths.overlay("velocity", name), rr.Arrows3D.columns(origins=origin, vectors=vectors)
-
-
-def in_world(planar: Array, yaw: Array) -> Array:
-    """Return planar vectors (n, 2) in frames rotated by ``yaw`` (n,), rad, as vectors (n, 3) in world axes."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y = planar[:, 0], planar[:, 1]
-    return np.stack((c * x - s * y, s * x + c * y, np.zeros_like(x)), axis=1)
 
 
 @dataclass(frozen=True)
@@ -224,18 +212,14 @@ class Ground:
         first = 4 * np.arange(len(i))[:, None]
         triangles = np.concatenate((first + np.array([0, 1, 2]), first + np.array([0, 2, 3])))
         shades = np.where(((i + j) % 2 == 0)[:, None], light, dark).astype(np.uint8)
-        return rr.Mesh3D(
-            vertex_positions=np.column_stack((flat, np.zeros(len(flat)))),
-            vertex_normals=np.tile([0.0, 0.0, 1.0], (len(flat), 1)),
-            vertex_colors=np.repeat(shades, 4, axis=0),
-            triangle_indices=triangles,
-        )
+        corners, normals = np.column_stack((flat, np.zeros(len(flat)))), np.tile([0.0, 0.0, 1.0], (len(flat), 1))
+        drawn: dict[str, Any] = {"vertex_normals": normals, "vertex_colors": np.repeat(shades, 4, axis=0)}
+        return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, **drawn)
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
         """Yield the ground patch's position near the base, a multiple of two tiles so that colours do not flip."""
         del paths
-        position = blocks["xpos"][:, self.root, :2]
         step = 2 * self.tile
-        snapped = step * np.round(np.nan_to_num(position) / step)
+        snapped = step * np.round(np.nan_to_num(blocks["xpos"][:, self.root, :2]) / step)
         translation = np.column_stack((snapped, np.full(len(snapped), self.origin[2])))
         yield GROUND, rr.Transform3D.columns(translation=translation)

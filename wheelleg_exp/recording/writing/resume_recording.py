@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +44,10 @@ class EarlierRecording:
         if contents.health.damaged:
             reason = f"{contents.health.damaged} messages of the file are damaged"
             raise self._problem(reason, "an undamaged recording")
+        self.chunks: list[Chunk] = []
         try:
-            self.chunks = [
-                chunk
-                for entity, pieces in contents.pieces.items()
-                for piece in pieces
-                for chunk in (self._static(entity, piece.batch) if piece.is_static else self._rows(entity, piece.batch))
-            ]
+            for entity, piece in ((entity, piece) for entity, pieces in contents.pieces.items() for piece in pieces):
+                self.chunks += (self._static if piece.is_static else self._rows)(entity, piece.batch)
         except (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError) as error:
             raise self._problem("another program wrote the rows of the file", "an undamaged recording") from error
         if self.started is None:
@@ -73,8 +72,10 @@ class EarlierRecording:
         if name is not None:
             self.documents += [] if name in self.documents else [name]
             yield from Chunk.from_record_batch(batch)
-        elif entity == _PROPERTIES and "started" in batch.schema.names and _is_present_format(batch):
-            self.started = str((python_values(batch.column("started"))[-1] or [""])[0])
+        elif entity == _PROPERTIES and {"started", "format_version"} <= {*batch.schema.names}:
+            started, version = (python_values(batch.column(name))[-1] for name in ("started", "format_version"))
+            if version == [layout.FORMAT_VERSION]:
+                self.started = str((started or [""])[0])
 
     def _note(self, entity: str, batch: pa.RecordBatch) -> None:
         if _SCALARS not in batch.schema.names:
@@ -87,12 +88,6 @@ class EarlierRecording:
             self.steps[entity] += steps.tolist()
             if step > self.last.get(entity, (-1, 0.0))[0]:
                 self.last[entity] = (step, float(batch.column(_SCALARS)[int(steps.argmax())].as_py()[0]))
-
-
-def _is_present_format(batch: pa.RecordBatch) -> bool:
-    if "format_version" not in batch.schema.names:
-        return False
-    return bool(python_values(batch.column("format_version"))[-1] == [layout.FORMAT_VERSION])
 
 
 def move_aside(path: Path, *, go_on: bool) -> str | None:
@@ -115,14 +110,10 @@ def move_aside(path: Path, *, go_on: bool) -> str | None:
 
 
 def _renamed(path: Path) -> Path:
-    number = 1
-    while True:
+    for number in itertools.count(1):
         target = path.with_name(f"{path.name}.damaged" + (f"-{number}" if number > 1 else ""))
-        with for_people(target):
-            try:
-                os.link(path, target)
-            except FileExistsError:
-                number += 1
-                continue
+        with for_people(target), suppress(FileExistsError):
+            os.link(path, target)
             path.unlink()
             return target
+    raise AssertionError

@@ -23,12 +23,8 @@ if TYPE_CHECKING:
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
-NEEDED = (
-    "stiffness",
-    "damping",
-    "effort_limit",
-    "velocity_limit",
-)  # Every joint of an actuator group needs values of these parameters.
+# Every joint of an actuator group needs values of these parameters.
+NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
 LimitPerJoint = Limit | Mapping[str, Limit]
@@ -83,17 +79,15 @@ class ActuatorBase(Stateful):
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
         """Find the actuator group's joints and make a tensor of each parameter; ConfigError if a joint has no value."""
-        indices, self.joint_names = match_names(
-            self.joint_names_expr, joint_names, key=f"{key}.joint_names_expr", what="joint"
-        )
+        expressions = f"{key}.joint_names_expr"
+        indices, self.joint_names = match_names(self.joint_names_expr, joint_names, key=expressions, what="joint")
         self.joint_ids = torch.tensor(indices, device=device)
         self._columns = narrowed(indices, device)
         per_joint: dict[str, list[Any]] = {}
         for name, values in self._config.items():
-            spread = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
+            per_joint[name] = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
             for error in valueless_errors(values, self.joint_names, f"{key}.{name}") if name in NEEDED else ():
                 raise error
-            per_joint[name] = spread
         self.stiffness, self.damping, self.effort_limit, self.velocity_limit = (
             torch.tensor(per_joint[name], dtype=torch.float32, device=device) for name in NEEDED
         )
@@ -105,8 +99,7 @@ class ActuatorBase(Stateful):
             armature = self._per_joint["armature"][index]
             if armature is not None:
                 spec.joint(name).armature = armature
-            actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            self._shape(actuator, index)
+            self._shape(spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT), index)
 
     def _shape(self, actuator: Any, index: int) -> None:
         """Set the gains of one joint's MuJoCo actuator; ``index`` is the joint's index in the actuator group."""

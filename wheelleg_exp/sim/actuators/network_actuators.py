@@ -57,7 +57,12 @@ class Network(Kept):
         self._key = key
         data = read_bytes(file)
         try:
-            self._require_harmless_loading(data)
+            require_bounded(ZipFile(io.BytesIO(data)))
+            reader = torch._C.PyTorchFileReader(io.BytesIO(data))
+            code = (name for name in reader.get_all_records() if "code/" in name)
+            if any(_RUNS_AT_LOADING in reader.get_record(name) for name in code):
+                method = _RUNS_AT_LOADING.decode()
+                raise self._refused(f"the network file contains a '{method}', which would run while the file is loaded")
             module = torch.jit.load(io.BytesIO(data), map_location=device)
             graph = module.eval().inlined_graph
         except (RuntimeError, AttributeError, ValueError, BadZipFile) as error:
@@ -72,14 +77,6 @@ class Network(Kept):
 
     def _refused(self, message: str) -> ConfigError:
         return ConfigError(message, key=self._key, expected="a network of torch.nn's layers, saved by torch.jit.save")
-
-    def _require_harmless_loading(self, data: bytes) -> None:
-        require_bounded(ZipFile(io.BytesIO(data)))
-        reader = torch._C.PyTorchFileReader(io.BytesIO(data))
-        if any(_RUNS_AT_LOADING in reader.get_record(name) for name in reader.get_all_records() if "code/" in name):
-            raise self._refused(
-                f"the network file contains a '{_RUNS_AT_LOADING.decode()}', which would run while the file is loaded"
-            )
 
     def weights(self) -> dict[str, torch.Tensor]:
         """Return the weights by name."""
@@ -212,11 +209,8 @@ class ActuatorNetLSTM(ActuatorNet):
         super().read_files(folder, key, device)
         layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
         if not layers:
-            raise ConfigError(
-                "the network has no LSTM named 'lstm'",
-                key=f"{key}.network_file",
-                expected="a batch-first LSTM whose memory is an input and an output",
-            )
+            expected = "a batch-first LSTM whose memory is an input and an output"
+            raise ConfigError("the network has no LSTM named 'lstm'", key=f"{key}.network_file", expected=expected)
         self._layers, self._width = len(layers), int(layers[0].shape[1])
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:

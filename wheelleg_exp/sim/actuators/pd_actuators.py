@@ -26,14 +26,10 @@ class ImplicitActuator(ActuatorBase):
     reads_state = False
 
     def _shape(self, actuator: Any, index: int) -> None:
-        limit = self._per_joint["effort_limit"][index]
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm[0] = 1.0
-        actuator.biasprm[1] = -self._per_joint["stiffness"][index]
-        actuator.biasprm[2] = -self._per_joint["damping"][index]
-        actuator.forcelimited = True
-        actuator.forcerange = (-limit, limit)
+        kp, kd, limit = (self._per_joint[name][index] for name in ("stiffness", "damping", "effort_limit"))
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = 1.0, -kp, -kd
+        actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         del data  # MuJoCo's solver subtracts kp q + kd qd.
@@ -51,8 +47,7 @@ class IdealPDActuator(ActuatorBase):
 
     def _shape(self, actuator: Any, index: int) -> None:
         del index
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE
         actuator.gainprm[0] = 1.0
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:

@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import mujoco
 import torch
 
-from wheelleg_exp.constraints import (
-    Broken,
-    Count,
-    NonNegative,
-    NotEmpty,
-    Positive,
-    PositiveInterval,
-    Targeted,
-    relation,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Broken, Count, NonNegative, NotEmpty, Positive, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rendering.camera_job import Layer
 from wheelleg_exp.rendering.live_pictures import CameraPictures
@@ -85,11 +77,8 @@ class CameraData(Kept):
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return the measurement."""
-        return {
-            "pos_w": self.pos_w.clone(),
-            "quat_w_world": self.quat_w_world.clone(),
-            **{f"output.{name}": value.clone() for name, value in self.output.items()},
-        }
+        output = {f"output.{name}": value.clone() for name, value in self.output.items()}
+        return {"pos_w": self.pos_w.clone(), "quat_w_world": self.quat_w_world.clone(), **output}
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -131,23 +120,13 @@ def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> to
 def convert_convention(quat: torch.Tensor, origin: Convention, target: Convention) -> torch.Tensor:
     """Convert orientations (n, 4), (w, x, y, z), to the axes of another convention."""
     w, x, y, z = _FROM_WORLD[origin]
-    back, there = (
-        torch.tensor(axes, dtype=quat.dtype, device=quat.device).expand_as(quat)
-        for axes in ((w, -x, -y, -z), _FROM_WORLD[target])
-    )
+    both = torch.tensor([(w, -x, -y, -z), _FROM_WORLD[target]], dtype=quat.dtype, device=quat.device)
+    back, there = (axes.expand_as(quat) for axes in both)
     return rotation.quat_mul(rotation.quat_mul(quat, back), there)
 
 
-DataType = Literal[
-    "rgb",
-    "rgba",
-    "depth",
-    "distance_to_image_plane",
-    "distance_to_camera",
-    "semantic_segmentation",
-    "instance_segmentation_fast",
-    "instance_id_segmentation_fast",
-]
+_Segmentation = Literal["semantic_segmentation", "instance_segmentation_fast", "instance_id_segmentation_fast"]
+DataType = Literal["rgb", "rgba", "depth", "distance_to_image_plane", "distance_to_camera", _Segmentation]
 _LAYERS: dict[str, Layer] = {"rgb": "colour", "rgba": "colour", **dict.fromkeys(DEPTHS, "depth")}
 _BACKGROUND = "BACKGROUND"
 
@@ -202,7 +181,7 @@ class Camera(LazySensor):
         horizontal_aperture_offset: float = 0.0,
         vertical_aperture_offset: float = 0.0,
         fovy: Positive | None = None,
-        clipping_range: PositiveInterval = (0.01, 20.0),
+        clipping_range: constraints.PositiveInterval = (0.01, 20.0),
         depth_clipping_behavior: DepthClipping = "none",
         max_num_envs: Count = 16,
         update_period: NonNegative = 0.0,
@@ -229,15 +208,11 @@ class Camera(LazySensor):
         self.body_names = [self._mount.body]
         height, width = self.image_shape
         # In MuJoCo, a positive principal length shifts the image's centre to the left and up.
-        spec.body(self._mount.body).add_camera(
-            name=self._name_in_model,
-            pos=self._offset["pos"],
-            quat=opengl_quat(self._offset),
-            resolution=[width, height],
-            sensor_size=self._aperture,
-            focal_length=[self._focal_length] * 2,
-            principal_length=[-self._focal_length * shift for shift in self._shift],
-        )
+        lens: dict[str, Any] = {"focal_length": [self._focal_length] * 2, "sensor_size": self._aperture}
+        lens["principal_length"] = [-self._focal_length * shift for shift in self._shift]
+        pose: dict[str, Any] = {"pos": self._offset["pos"], "quat": opengl_quat(self._offset)}
+        camera = spec.body(self._mount.body).add_camera(name=self._name_in_model, **pose, **lens)
+        camera.resolution = [width, height]
 
     @property
     def _name_in_model(self) -> str:
@@ -248,8 +223,7 @@ class Camera(LazySensor):
         if mistake := too_many(sim.num_envs, self._max_num_envs, self.key):
             raise mistake
         self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
-        directions = self._pinhole.rays(sim.device)[1]
-        self._cosines = directions[:, 0].view(1, *self.image_shape, 1)
+        self._cosines = self._pinhole.rays(sim.device)[1][:, 0].view(1, *self.image_shape, 1)
         self._data = CameraData(sim.num_envs, self._pinhole, sim.device)
         self._numbers: dict[str, torch.Tensor] = {}
         for kind in self._data_types:
@@ -257,8 +231,7 @@ class Camera(LazySensor):
                 labels, numbers = _labels(sim.model, kind)
                 self._numbers[kind] = torch.tensor(numbers, dtype=torch.int32, device=sim.device)
                 self._data.info[kind] = {"idToLabels": labels}
-            floats = kind in DEPTHS
-            dtype = torch.float32 if floats else torch.int32 if kind in self._numbers else torch.uint8
+            dtype = torch.float32 if kind in DEPTHS else torch.int32 if kind in self._numbers else torch.uint8
             self._data.add_output(kind, {"rgb": 3, "rgba": 4}.get(kind, 1), dtype)
         layers = tuple(dict.fromkeys(_LAYERS.get(kind, "geom") for kind in self._data_types))
         height, width = self.image_shape
@@ -266,8 +239,7 @@ class Camera(LazySensor):
 
     def sense(self, ids: torch.Tensor | slice) -> None:
         """Render the images of the environments ``ids``; NoGraphics or SimulationFailure if rendering fails."""
-        data, quat = self._data, self._mount.quat_w[ids]
-        turn = self._mount.rot_w[ids]
+        data, quat, turn = self._data, self._mount.quat_w[ids], self._mount.rot_w[ids]
         data.pos_w[ids] = self._mount.pos_w[ids] + rotation.rotate(turn, self._offset_pos.expand(len(turn), 3))
         data.quat_w_world[ids] = rotation.quat_mul(quat, self._offset_quat.expand_as(quat))
         if not len(turn):
@@ -340,7 +312,7 @@ class RayCasterCamera(RayCaster):
     def __init__(
         self,
         body_name: str,
-        pattern: Annotated[PinholePattern, Targeted()],
+        pattern: Annotated[PinholePattern, constraints.Targeted()],
         data_types: Annotated[Sequence[RayDepth], NotEmpty()] = ("distance_to_image_plane",),
         offset: CameraOffset | None = None,
         max_distance: Positive = 1e6,
@@ -350,12 +322,7 @@ class RayCasterCamera(RayCaster):
         if not isinstance(pattern, PinholePattern):
             raise ConfigError("has no pixels", key="pattern", expected="a _target_ of PinholePattern")
         super().__init__(
-            body_name,
-            pattern,
-            offset=in_world_convention(offset),
-            ray_alignment="base",
-            max_distance=max_distance,
-            update_period=update_period,
+            body_name, pattern, in_world_convention(offset), "base", max_distance, update_period=update_period
         )
         self._pinhole, self._data_types = pattern, tuple(data_types)
         self.image_shape = (pattern.height, pattern.width)
@@ -371,8 +338,7 @@ class RayCasterCamera(RayCaster):
 
     def sense(self, ids: torch.Tensor | slice) -> None:
         data, pos, quat = self._data, self._mount.pos_w[ids], self._mount.quat_w[ids]
-        offset = self._offset_pos.expand(len(pos), 3)
-        data.pos_w[ids] = pos + rotation.rotate(self._mount.rot_w[ids], offset)
+        data.pos_w[ids] = pos + rotation.rotate(self._mount.rot_w[ids], self._offset_pos.expand(len(pos), 3))
         data.quat_w_world[ids] = rotation.quat_mul(quat, self._offset_quat.expand_as(quat))
         _, _, far = self._cast(ids, pos, self.drift[ids])
         far = far.masked_fill(far < 0.0, math.inf)

@@ -29,11 +29,6 @@ FIELDS = tuple(_SIZES)
 NORMAL = ("found", "force", "normal")  # The normal force is computed from these fields.
 
 
-def data_flags(fields: tuple[str, ...]) -> int:
-    """Return the bit mask that selects the fields of a MuJoCo contact sensor."""
-    return sum(1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name.upper()}")) for name in fields)
-
-
 def width(fields: tuple[str, ...]) -> int:
     """Return the number of values that a contact sensor reports for one contact."""
     return sum(_SIZES[name] for name in fields)
@@ -53,14 +48,12 @@ class ContactPairs:
     """
 
     def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
-        parts = torch.split(readings, [_SIZES[name] for name in fields], dim=-1)
-        self._parts = dict(zip(fields, parts, strict=True))
+        self._parts = dict(zip(fields, torch.split(readings, [_SIZES[name] for name in fields], dim=-1), strict=True))
         self._bodies = bodies
 
     def normal_forces(self) -> torch.Tensor:
         """Return the normal force on each sensed body from each other body, N, (N, B, M, 3), world axes."""
-        pressures = self._parts["force"][..., 0].unsqueeze(2)
-        return self._of_pairs(summed(pressures, self._parts["normal"]).neg_())
+        return self._of_pairs(summed(self._parts["force"][..., 0].unsqueeze(2), self._parts["normal"]).neg_())
 
     def friction_forces(self) -> torch.Tensor:
         """Return the friction force on each sensed body from each other body, N, (N, B, M, 3), world axes."""
@@ -159,10 +152,8 @@ class ContactSensorData(Kept):
         self, newest: torch.Tensor, points: torch.Tensor | None, friction: torch.Tensor | None, due: torch.Tensor | None
     ) -> None:
         """Add a force sample (N, B, M, 3) of each pair of a sensed and a filtered body, as ``take_forces`` does."""
-        before = self.force_matrix_w_history
-        filtered = torch.cat((newest.unsqueeze(1), before[:, :-1]), dim=1)
-        taken = {"filtered": filtered, "points": points, "friction": friction}
-        for name, value in taken.items():
+        filtered = torch.cat((newest.unsqueeze(1), self.force_matrix_w_history[:, :-1]), dim=1)
+        for name, value in {"filtered": filtered, "points": points, "friction": friction}.items():
             if value is not None and due is not None:
                 value = torch.where(due.view(-1, *[1] * (value.ndim - 1)), value, getattr(self, name))
             setattr(self, name, value)
@@ -298,8 +289,7 @@ class ContactSensor(SensorBase):
         for body in self.body_names:
             self._sense(spec, body, NORMAL, {})
         for body, other in product(self.body_names, self.filter_names):
-            ref = "world" if other == GROUND else other
-            to = {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": ref}
+            to = {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": "world" if other == GROUND else other}
             self._sense(spec, body, self._fields_of_pairs, to, f"/{other}")
 
     @property
@@ -309,14 +299,13 @@ class ContactSensor(SensorBase):
     def _sense(
         self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, Any], suffix: str = ""
     ) -> None:
-        spec.add_sensor(
-            name=f"{self.name}/{body}{suffix}",
-            type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            objname=body,
-            intprm=[data_flags(fields), 0, self._slots],
-            **ref,
-        )
+        flags = sum(1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name.upper()}")) for name in fields)
+        sensed: dict[str, Any] = {
+            "type": mujoco.mjtSensor.mjSENS_CONTACT,
+            "objtype": mujoco.mjtObj.mjOBJ_BODY,
+            "objname": body,
+        }
+        spec.add_sensor(name=f"{self.name}/{body}{suffix}", intprm=[flags, 0, self._slots], **sensed, **ref)
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         super().connect(sim, stream)
@@ -349,13 +338,11 @@ class ContactSensor(SensorBase):
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
-        self.data.require_times()
         time = self.data.current_contact_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
         """Return which bodies (N, B) left the ground within the last ``dt`` seconds."""
-        self.data.require_times()
         time = self.data.current_air_time
         return (time > 0.0) & (time < dt + 1e-8)
 
@@ -368,8 +355,20 @@ class ContactSensor(SensorBase):
             points = self._pairs.points() if self._tracked["track_contact_points"] else None
             friction = self._pairs.friction_forces() if self._tracked["track_friction_forces"] else None
             self.data.take_pairs(self._pairs.normal_forces(), points, friction, due)
-        if self.track_air_time:
-            self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
+        if not self.track_air_time:
+            return
+        elapsed = elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1)
+        contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
+        for mode, active in (("contact", contact), ("air", ~contact)):
+            # Add up the time in contact and in the air. When a phase has just ended, store its duration.
+            current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
+            ended = ~active & (current > 0.0)
+            lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
+            if due is not None:
+                rows = due.unsqueeze(1)
+                lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
+            last.copy_(lasted)
+            current.copy_(counted)
 
     def reset(self, ids: torch.Tensor) -> None:
         super().reset(ids)
@@ -377,19 +376,18 @@ class ContactSensor(SensorBase):
         self._found.index_fill_(0, ids, 0.0)
         self._largest_norm = None
 
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        self._is_new.index_fill_(0, env_ids, False)  # Contact forces exist only after a physics step.
+
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
         overflowed = (self._found.index_select(0, env_ids) > self._slots).any(dim=1)
         return {"overflow": overflowed.mean(dtype=torch.float32)}
 
     def state_dict(self) -> dict[str, Any]:
-        return {
-            **super().state_dict(),
-            "history": self.data.net_forces_w_history.clone(),
-            "found": self._found.clone(),
-            **{name: value.clone() for name, value in self.data.times.items()},
-            **{name: value.clone() for name, value in self.data.of_pairs().items()},
-        }
+        tracked = {name: value.clone() for name, value in (self.data.times | self.data.of_pairs()).items()}
+        own = {"history": self.data.net_forces_w_history.clone(), "found": self._found.clone()}
+        return {**super().state_dict(), **own, **tracked}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         super().load_state_dict(saved)
@@ -400,16 +398,3 @@ class ContactSensor(SensorBase):
         for name in self.data.of_pairs():
             setattr(self.data, name, saved[name].clone())
         self._largest_norm = None
-
-    def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Add up the time in contact and in the air; when a phase has just ended, store its duration."""
-        contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
-        for mode, active in (("contact", contact), ("air", ~contact)):
-            current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
-            ended = ~active & (current > 0.0)
-            lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
-            if due is not None:
-                rows = due.unsqueeze(1)
-                lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
-            last.copy_(lasted)
-            current.copy_(counted)

@@ -105,7 +105,6 @@ class Imu(SensorBase):
         self.data = ImuData(n, device)
         self._before = torch.zeros(n, 6, device=device)  # the IMU's velocities at the start of the last physics step
         self._acc = torch.zeros(n, 6, device=device)
-        self._is_new = torch.ones(n, dtype=torch.bool, device=device)
         spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
         self._std, self._low, self._high, self._walk = torch.tensor(spread, device=device).unbind(dim=1)
         self._bias_b, self._noise_b = torch.zeros(n, 6, device=device), torch.zeros(n, 6, device=device)
@@ -148,8 +147,7 @@ class Imu(SensorBase):
 
     def _velocities(self) -> torch.Tensor:
         """Return the IMU's linear and angular velocity, world axes, (N, 6)."""
-        ang = self._mount.ang_vel_w
-        arm = self._mount.rot_w @ self._offset_pos
+        ang, arm = self._mount.ang_vel_w, self._mount.rot_w @ self._offset_pos
         return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
 
     def _show(self, due: torch.Tensor | None) -> None:
@@ -161,15 +159,10 @@ class Imu(SensorBase):
         vectors = torch.stack((*velocity, felt, acceleration[1], gravity), dim=1)
         lin_vel, ang_vel, lin_acc, ang_acc, gravity = (vectors @ rot).unbind(dim=1)
         error = self._bias_b + self._noise_b
-        seen = {
-            "pos_w": self._mount.pos_w + body @ self._offset_pos,
-            "quat_w": rotation.quat_mul(self._mount.quat_w, self._offset_quat.expand(len(body), 4)),
-            "projected_gravity_b": gravity,
-            "lin_vel_b": lin_vel,
-            "ang_vel_b": ang_vel + error[:, 3:],
-            "lin_acc_b": lin_acc + error[:, :3],
-            "ang_acc_b": ang_acc,
-        }
+        seen = {"projected_gravity_b": gravity, "lin_vel_b": lin_vel, "ang_acc_b": ang_acc}
+        seen |= {"ang_vel_b": ang_vel + error[:, 3:], "lin_acc_b": lin_acc + error[:, :3]}
+        seen["pos_w"] = self._mount.pos_w + body @ self._offset_pos
+        seen["quat_w"] = rotation.quat_mul(self._mount.quat_w, self._offset_quat.expand(len(body), 4))
         for name, value in seen.items():
             last = getattr(self.data, name)
             last.copy_(value if due is None else torch.where(due.unsqueeze(1), value, last))
@@ -185,4 +178,3 @@ class Imu(SensorBase):
             value.copy_(saved[name])
         self._before, self._acc = saved["before"].clone(), saved["acc"].clone()
         self._bias_b, self._noise_b = saved["bias"].clone(), saved["noise"].clone()
-        self._is_new.fill_(False)

@@ -145,14 +145,10 @@ class RayCaster(LazySensor):
         directions = self._directions.expand_as(starts)
         if self._alignment == "base":
             directions = directions @ turn.transpose(1, 2)
-        return starts, directions, self._distances(ids, starts, directions)
-
-    def _distances(self, ids: torch.Tensor | slice, starts: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-        """Return the lengths of rays (n, R, 3) to the ground, m, (n, R); a negative length is a miss."""
         if self._looks_down and self.terrain.has_formula:
-            return starts[..., 2] - self.terrain.height_at(starts[..., :2])
+            return starts, directions, starts[..., 2] - self.terrain.height_at(starts[..., :2])
         only = None if isinstance(ids, slice) else ids
-        return self._sim.ray(starts, directions, (GROUND_GROUP,), only).float()
+        return starts, directions, self._sim.ray(starts, directions, (GROUND_GROUP,), only).float()
 
     def _turn(self, ids: torch.Tensor | slice) -> torch.Tensor:
         """Return the matrices (n, 3, 3) that rotate the ray pattern into world axes."""

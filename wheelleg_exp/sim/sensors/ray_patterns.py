@@ -101,8 +101,7 @@ class LidarPattern(PatternBase):
         low, high = self._horizontal
         steps = math.ceil((high - low) / self._resolution - 1e-9)
         azimuth = torch.linspace(low, high, steps + 1, device=device)
-        if abs(high - low - _TURN) < 1e-6:
-            azimuth = azimuth[:-1]
+        azimuth = azimuth[:-1] if abs(high - low - _TURN) < 1e-6 else azimuth
         elevation = torch.linspace(self._vertical[0], self._vertical[1], self._channels, device=device)
         return _from_origin(*torch.meshgrid(elevation, azimuth, indexing="ij"))
 

@@ -64,6 +64,7 @@ class SensorBase(Kept):
         self._sim = sim
         self._dt = float(sim.model.opt.timestep)
         self._elapsed = torch.full((sim.num_envs,), self.update_period, device=sim.device)
+        self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
 
     def update(self) -> None:
         """After a physics step, measure the environments whose update period has passed.
@@ -86,17 +87,18 @@ class SensorBase(Kept):
         raise NotImplementedError("a sensor needs 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the measurements of the environments ``env_ids``, before reset events write the new state."""
+        """Start new episodes of the environments ``env_ids``, before reset events write the new state."""
+        fill_rows(self._is_new, env_ids, True)
         if self.update_period > 0.0:
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
-    @property
-    def refreshes(self) -> bool:
-        """Whether the sensor overrides ``refresh``."""
-        return type(self).refresh is not SensorBase.refresh
-
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Measure the environments ``env_ids`` after their state was written, before the first observation."""
+        """After the state of ``env_ids`` was written, measure new episodes, so that their first observation is new."""
+        new = env_ids[self._is_new[env_ids]]
+        if len(new):
+            due = torch.zeros_like(self._is_new).index_fill_(0, new, True)
+            self.measure(due, self._elapsed if self.update_period > 0.0 else self._dt)
+            self._is_new.index_fill_(0, new, False)
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return log entries, by name, about limits that the sensor exceeded in episodes that end now."""
@@ -117,6 +119,7 @@ class SensorBase(Kept):
         """Restore what ``state_dict`` returned."""
         if self.update_period > 0.0:
             self._elapsed.copy_(saved["elapsed"])
+        self._is_new.fill_(False)
 
 
 def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
@@ -150,7 +153,6 @@ class LazySensor(SensorBase):
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         super().connect(sim, stream)
         self._outdated: torch.Tensor | slice | None = slice(None)
-        self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
 
     @property
     def data(self) -> Any:
@@ -187,7 +189,6 @@ class LazySensor(SensorBase):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         super().load_state_dict(saved)
         self._outdated = slice(None) if self.update_period == 0.0 else None
-        self._is_new.fill_(False)
 
 
 Offset = Mapping[Literal["pos", "rot"], Sequence[float]]

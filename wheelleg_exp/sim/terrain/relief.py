@@ -116,9 +116,19 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    patches = _no_patches(layout, origins)
+    # The flat patches of each name are filled with the tiles' origins for tiles without patches.
+    counts: dict[str, int] = {}
+    for kind_name, own in layout.sub_terrains.items():
+        for patch, wanted in own.flat_patches.items():
+            if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
+                message = f"'{patch}' has {counts[patch]} patches on another sub-terrain and {wanted.num_patches} here"
+                key = f"{TERRAIN_KEY}.sub_terrains.{kind_name}.flat_patches.{patch}.num_patches"
+                raise ConfigError(message, key=key, expected="the same number on all sub-terrains")
+    patches = {name: np.zeros((*shape, count, 3)) for name, count in counts.items()}
     tiles: dict[tuple[int, int], Tile] = {}
-    for row, col in with_progress("making tiles", _order(layout)):
+    # With a curriculum, the tiles are generated column by column.
+    order = list(np.ndindex(shape)) if not layout.curriculum else [(r, c) for c, r in np.ndindex(shape[::-1])]
+    for row, col in with_progress("making tiles", order):
         kind, difficulty = _chosen(layout, row, col, rng)
         part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
         tile = _tile(layout, part, difficulty, rng, key)
@@ -134,17 +144,9 @@ def make_relief(layout: Layout) -> Relief:
         for name in patches:
             patches[name][row, col] = origins[row, col]
         for name, wanted in part.flat_patches.items():
-            found = wanted.find(alone.heights_at, origin, layout.size, rng, f"{key}.flat_patches.{name}")
-            patches[name][row, col] += found
-    ordered = [tiles[index] for index in np.ndindex(shape)]
-    return Relief(ordered, kinds, difficulties, origins, patches)
-
-
-def _order(layout: Layout) -> list[tuple[int, int]]:
-    """Return the tiles in the order of generation, which is column by column with a curriculum."""
-    if layout.curriculum:
-        return [(row, col) for col in range(layout.num_cols) for row in range(layout.num_rows)]
-    return [(row, col) for row in range(layout.num_rows) for col in range(layout.num_cols)]
+            key_of_patches = f"{key}.flat_patches.{name}"
+            patches[name][row, col] += wanted.find(alone.heights_at, origin, layout.size, rng, key_of_patches)
+    return Relief([tiles[index] for index in np.ndindex(shape)], kinds, difficulties, origins, patches)
 
 
 def _chosen(layout: Layout, row: int, col: int, rng: np.random.Generator) -> tuple[int, float]:
@@ -166,27 +168,11 @@ def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Ge
     if min(half) <= 0:
         expected = f"less than half a tile's edge, {min(size) / 2:g}"
         raise ConfigError("the borders cover the whole tile", key=f"{key}.border_width", expected=expected)
-    x, y = (
-        (np.arange(count) + 0.5) * edge / count - edge / 2
-        if part.boxes
-        else np.linspace(-edge / 2, edge / 2, count + 1)
-        for count, edge in zip(cells, size, strict=True)
-    )
+    pairs = list(zip(cells, size, strict=True))
+    x, y = (np.linspace(-edge / 2, edge / 2, count + 1) for count, edge in pairs)
+    if part.boxes:
+        x, y = ((np.arange(count) + 0.5) * edge / count - edge / 2 for count, edge in pairs)
     grid = Grid(x[:, None], y[None, :], half)
     heights = np.broadcast_to(part.heights(difficulty, grid, rng), (len(x), len(y)))
     heights = np.where(grid.to_edge >= 0, heights, 0.0) if part.border_width else heights
     return Tile((np.rint(heights / layout.vertical_scale) * layout.vertical_scale).astype(np.float32), part.boxes)
-
-
-def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
-    """Allocate the flat patches of each name, filled with the tiles' origins for tiles without patches."""
-    counts: dict[str, int] = {}
-    for name, part in layout.sub_terrains.items():
-        for patch, wanted in part.flat_patches.items():
-            if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
-                raise ConfigError(
-                    f"'{patch}' has {counts[patch]} patches on another sub-terrain and {wanted.num_patches} here",
-                    key=f"{TERRAIN_KEY}.sub_terrains.{name}.flat_patches.{patch}.num_patches",
-                    expected="the same number on all sub-terrains",
-                )
-    return {name: np.zeros((*origins.shape[:2], count, 3)) for name, count in counts.items()}

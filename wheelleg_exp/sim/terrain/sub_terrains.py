@@ -7,15 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from wheelleg_exp.constraints import (
-    Bounds,
-    Count,
-    Interval,
-    NonNegative,
-    NonNegativeInterval,
-    Positive,
-    PositiveInterval,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Bounds, Count, NonNegative, NonNegativeInterval, Positive, PositiveInterval
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
@@ -78,11 +71,8 @@ class FlatPatches(Kept):
             found = np.concatenate((found, np.column_stack((places - origin[:2], heights[:, 0]))[flat]))
             if len(found) >= self.num_patches:
                 return found[: self.num_patches]
-        raise ConfigError(
-            f"{len(found)} of {self.num_patches} flat patches were found in {_ROUNDS * self.num_patches:,} tries",
-            key=key,
-            expected="a smaller patch_radius, a larger max_height_diff or wider ranges",
-        )
+        message = f"{len(found)} of {self.num_patches} flat patches were found in {_ROUNDS * self.num_patches:,} tries"
+        raise ConfigError(message, key=key, expected="a smaller patch_radius, a larger max_height_diff or wider ranges")
 
 
 EDGE = 1e-9  # m; a point that is this close to an edge counts as inside
@@ -154,7 +144,7 @@ class RandomUniform(SubTerrain):
         downsampled_scale: distance between the drawn points, m; null means the edge of a cell.
     """
 
-    noise_range: Interval
+    noise_range: constraints.Interval
     noise_step: Positive
     downsampled_scale: Positive | None = None
 
@@ -313,10 +303,8 @@ class RandomGrid(SubTerrain):
         a = at(difficulty, self.grid_height_range)
         counts = [max(1, int(2 * half / self.grid_width + 1e-9)) for half in grid.half]
         drawn = rng.uniform(-a, a, counts)
-        i, j = (
-            np.floor((axis + 1e-9) / self.grid_width + count / 2).astype(int)
-            for axis, count in zip((grid.x, grid.y), counts, strict=True)
-        )
+        axes = zip((grid.x, grid.y), counts, strict=True)
+        i, j = (np.floor((axis + 1e-9) / self.grid_width + count / 2).astype(int) for axis, count in axes)
         inside = (i >= 0) & (i < counts[0]) & (j >= 0) & (j < counts[1]) & ~grid.is_within(self.platform_width)
         return np.where(inside, drawn[i.clip(0, counts[0] - 1), j.clip(0, counts[1] - 1)], 0.0)
 

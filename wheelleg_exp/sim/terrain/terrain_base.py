@@ -42,8 +42,7 @@ class Probe:
         """Return the height of the ground at points (..., 2), m, (...); ``outside`` for points without ground."""
         if self._engine is None:
             self._engine = BatchEngine(self.model(), 1, 1)
-        far = torch.full_like(xy[..., :1], _FAR)
-        origins = torch.cat((xy, far), dim=-1).reshape(1, -1, 3)
+        origins = torch.cat((xy, torch.full_like(xy[..., :1], _FAR)), dim=-1).reshape(1, -1, 3)
         down = torch.tensor([0.0, 0.0, -1.0], device=xy.device).expand_as(origins)
         distance = self._engine.ray(origins, down).reshape(xy.shape[:-1])
         return torch.where(distance < 0, outside, _FAR - distance).to(xy)
@@ -222,13 +221,8 @@ class Plane(TerrainBase):
     """An infinite plane at height 0, with the friction and restitution of ``TerrainBase``."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        spec.worldbody.add_geom(
-            name=GROUND,
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[0, 0, 0.05],
-            friction=[self.dynamic_friction, 0.005, 0.0001],
-            rgba=[0.35, 0.38, 0.42, 1],
-        )
+        look: dict[str, Any] = {"friction": [self.dynamic_friction, 0.005, 0.0001], "rgba": [0.35, 0.38, 0.42, 1]}
+        spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], **look)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
         return torch.zeros_like(xy[..., 0])

@@ -134,17 +134,13 @@ class HeightField(_FromFile):
             picture = imread(file)
         except Exception as error:  # Matplotlib raises many kinds of errors for a damaged image.
             raise ConfigError(f"'{self.file}' is not an image", key=self._key, expected="a .png file") from error
-        grey = picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1)
-        return self._scaled(grey[::-1].T)
+        return self._scaled((picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T)
 
     def _scaled(self, values: npt.NDArray[Any]) -> Read:
         good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
         if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
-            raise ConfigError(
-                f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}",
-                key=self._key,
-                expected="two or more rows and columns of finite numbers",
-            )
+            message = f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}"
+            raise ConfigError(message, key=self._key, expected="two or more rows and columns of finite numbers")
         if self._range is not None:
             low, high = self._range
             heights = low + (high - low) * heights
@@ -180,10 +176,10 @@ class Mesh(_FromFile):
         return {".obj": self._from_above, ".stl": self._from_above}
 
     def _from_above(self, file: Path) -> Read:
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
         def add_to(spec: mujoco.MjSpec) -> None:
-            spec.add_mesh(
-                name="mesh", file=str(file), scale=[self._scale] * 3, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            )
+            spec.add_mesh(name="mesh", file=str(file), scale=[self._scale] * 3, inertia=shell)
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
 
         spec = mujoco.MjSpec()

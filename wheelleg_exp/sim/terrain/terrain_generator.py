@@ -11,20 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from wheelleg_exp.constraints import (
-    Broken,
-    Count,
-    Length,
-    Natural,
-    Node,
-    NonNegative,
-    NotEmpty,
-    Ordered,
-    Positive,
-    Seed,
-    Share,
-    relation,
-)
+from wheelleg_exp import constraints
+from wheelleg_exp.constraints import Broken, Count, NonNegative, Positive, Share, relation
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.progress import with_progress
 from wheelleg_exp.sim.terrain.relief import HeightMap, Layout, Tile, make_relief
@@ -70,15 +58,13 @@ def add_tile(
         # MuJoCo scales the heights to [0, 1], and its rows are along y.
         span, (columns, rows) = highest - lowest, heights.shape
         data = ((heights - lowest) / span).T.ravel()
-        half = [size[0] / 2, size[1] / 2, span, depth]
-        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=half, userdata=data)
+        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=[size[0] / 2, size[1] / 2, span, depth], userdata=data)
         add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
 
 
 def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
     """Yield rectangles of cells that cover the mask: runs along y, extended along x while the run is the same."""
-    padded = np.pad(mask, ((0, 1), (1, 1))).astype(np.int8)
-    steps = np.diff(padded, axis=1)
+    steps = np.diff(np.pad(mask, ((0, 1), (1, 1))).astype(np.int8), axis=1)
     started: dict[tuple[int, int], int] = {}
     for i, row in enumerate(steps):
         runs = set(zip(np.flatnonzero(row == 1).tolist(), np.flatnonzero(row == -1).tolist(), strict=True))
@@ -123,20 +109,20 @@ class TerrainGenerator(TerrainBase):
 
     def __init__(
         self,
-        size: Annotated[Sequence[Positive], Length(2)],
+        size: Annotated[Sequence[Positive], constraints.Length(2)],
         num_rows: Count,
         num_cols: Count,
         border_width: NonNegative,
         horizontal_scale: Positive,
         vertical_scale: Positive,
         curriculum: bool,
-        difficulty_range: Annotated[Sequence[Share], Ordered()],
-        sub_terrains: Annotated[Mapping[str, Node | None], NotEmpty()],
+        difficulty_range: Annotated[Sequence[Share], constraints.Ordered()],
+        sub_terrains: Annotated[Mapping[str, constraints.Node | None], constraints.NotEmpty()],
         static_friction: NonNegative,
         dynamic_friction: NonNegative,
         restitution: Share,
-        seed: Seed | None = None,
-        max_init_terrain_level: Natural | None = None,
+        seed: constraints.Seed | None = None,
+        max_init_terrain_level: constraints.Natural | None = None,
         origin_window: Share = ORIGIN_WINDOW,
     ) -> None:
         super().__init__(static_friction, dynamic_friction, restitution)
@@ -160,20 +146,16 @@ class TerrainGenerator(TerrainBase):
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
         key = f"{TERRAIN_KEY}.horizontal_scale"
         require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
-        seed = stream().initial_seed() if self._seed is None else self._seed
-        self.layout = replace(self.layout, seed=seed)
+        self.layout = replace(self.layout, seed=stream().initial_seed() if self._seed is None else self._seed)
         self.relief = make_relief(self.layout)
         self._map = HeightMap(self.relief.tiles, self.layout.num_rows, self.size, device)
         self.terrain_origins = torch.as_tensor(self.relief.origins, dtype=torch.float32, device=device)
-        self.flat_patches = {
-            name: torch.as_tensor(places, dtype=torch.float32, device=device)
-            for name, places in self.relief.patches.items()
-        }
+        patches = self.relief.patches.items()
+        self.flat_patches = {n: torch.as_tensor(p, dtype=torch.float32, device=device) for n, p in patches}
         super().place(num_envs, spacing, device, stream)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        origins = self.relief.origins.reshape(-1, 3)
-        tiles = list(enumerate(zip(self.relief.tiles, origins, strict=True)))
+        tiles = list(enumerate(zip(self.relief.tiles, self.relief.origins.reshape(-1, 3), strict=True)))
         for number, (tile, origin) in with_progress("laying tiles", tiles):
             row, col = divmod(number, self.layout.num_cols)
             name = f"{GROUND}/{row}_{col}"
