@@ -47,7 +47,9 @@ def task_env(
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
     """Return the space of one environment's observations: unbounded float32 vectors by group."""
     shapes: dict[str, Any] = env.observation_manager.group_obs_dim
-    boxes = {g: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for g, shape in shapes.items()}
+    boxes: dict[str, gymnasium.Space[Any]] = {
+        group: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for group, shape in shapes.items()
+    }
     return gymnasium.spaces.Dict(boxes)
 
 

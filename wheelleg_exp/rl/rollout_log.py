@@ -159,7 +159,7 @@ class StepMeans:
 
     def collect(self) -> dict[str, float]:
         """Return the means over steps and environments since the last call, and clear the sums."""
-        scalars = {}
+        scalars: dict[str, float] = {}
         with one_thread():
             for (head, names), sums in self._sums.items():
                 values = sums.mean(dim=1).tolist()

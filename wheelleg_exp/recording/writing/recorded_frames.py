@@ -87,7 +87,7 @@ def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
     """Return the name of each coordinate of qpos or qvel: the joint, with a suffix for several coordinates."""
     ball = ("w", "x", "y", "z") if len(free) == len(_FREE) else ("x", "y", "z")
     several = {int(mujoco.mjtJoint.mjJNT_FREE): free, int(mujoco.mjtJoint.mjJNT_BALL): ball}
-    names = []
+    names: list[str] = []
     for j in range(model.njnt):
         joint, parts = model.joint(j).name or f"joint_{j}", several.get(int(model.jnt_type[j]))
         names += [joint] if parts is None else [f"{joint}.{part}" for part in parts]
