@@ -106,8 +106,8 @@ class Frames:
     def moment(self, row: int) -> Moment:
         """Return the simulated moment at which a row was recorded."""
         present = self.table.column_names
-        times = [self.table.column(name)[row].as_py() if name in present else None for name in TIMES]
-        return Moment(*times, env_id=self.env_id)
+        step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMES)
+        return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
         """Return the frames where ``mask`` is true."""
