@@ -136,6 +136,8 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
     wheels, radius = anatomy.wheel_joints, max((wheel.radius for wheel in anatomy.wheels), default=0.0)
     lowest = lowest_point(model, data, bodies)
     root_height = float(data.xpos[bodies[0]][2])
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    values = model.geom_friction[np.isin(model.geom_bodyid, list(chain(*_turned(model, anatomy))) or bodies) & solid, 0]
     return RobotFacts(
         mass=float(model.body_mass[bodies].sum()),
         gravity=gravity,
@@ -145,7 +147,7 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
         track=anatomy.support_width,
         standing_height=root_height - lowest if math.isfinite(lowest) else root_height,
         clearance=lowest,
-        friction=_friction(model, list(chain(*_turned(model, anatomy))) or bodies),
+        friction=float(values.min()) if len(values) else 0.0,
         balance=_balance(model, data, bodies, anatomy, gravity),
     )
 
@@ -164,12 +166,6 @@ def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
 
 def _turned(model: mujoco.MjModel, anatomy: Anatomy) -> list[list[int]]:
     return [[model.body(name).id for name in wheel.bodies] for wheel in anatomy.standing]
-
-
-def _friction(model: mujoco.MjModel, bodies: Sequence[int]) -> float:
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    values = model.geom_friction[np.isin(model.geom_bodyid, bodies) & solid, 0]
-    return float(values.min()) if len(values) else 0.0
 
 
 def _joints(

@@ -53,7 +53,10 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
     highest = -down + _LOW * (top + down)  # maximum height of a wheel's lowest point
     for joint in tree.joints:
-        if not _may_roll(tree, joint):
+        # Whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain.
+        body = int(tree.model.jnt_bodyid[joint])
+        last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
+        if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
             continue
         bodies = tree.below(int(tree.model.jnt_bodyid[joint]))
         solid = colliders(tree.model, bodies)
@@ -79,13 +82,6 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     return found, near
 
 
-def _may_roll(tree: Tree, joint: int) -> bool:
-    """Return whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain."""
-    body = int(tree.model.jnt_bodyid[joint])
-    last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
-    return tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL
-
-
 def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int]) -> Found:
     model, data = tree.model, tree.data
     axis, anchor = data.xaxis[joint].copy(), data.xanchor[joint].copy()
@@ -99,6 +95,10 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     outline = outline[:-2]
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
+    # The distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round.
+    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
+    shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
+    centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     return Found(
         joint=joint,
         bodies=tuple(bodies),
@@ -107,7 +107,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
         radius=radius,
         width=float(there + back),
         roundness=roundness,
-        beside=_beside(outline, angles),
+        beside=float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0,
         why=f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
         f"from the axis all round, within {100 * (1 - roundness):.1f} %",
     )
@@ -119,14 +119,6 @@ def _where_its_shape_is(shape: Found) -> str:
         return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
     return f"its colliders, unlike its masses, are not round about its axis: they reach {extent} from the axis"
-
-
-def _beside(outline: Array, angles: Array) -> float:
-    """Return the distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round."""
-    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
-    shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
-    centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
-    return float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
 
 
 def _is_round(tree: Tree, shape: Found) -> bool:
@@ -175,8 +167,26 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
-    closures = _closures(tree)
-    limbs = _limbs(tree, [pair for _, pair in closures])
+    # The equality constraints between two bodies of the robot: name, bodies.
+    model, found = tree.model, []
+    for index in range(model.neq):
+        if int(model.eq_type[index]) not in _HOLDS:
+            continue
+        pair = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if model.eq_objtype[index] != _BODY:
+            pair = int(model.site_bodyid[pair[0]]), int(model.site_bodyid[pair[1]])
+        if set(pair) <= set(tree.bodies):
+            found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
+    closures = found
+    # The connected bodies without the base, for each body that is not fixed to the base.
+    fixed = set(tree.fixed_to(tree.base))
+    limbs = {body: {body} for body in tree.bodies if body not in fixed}
+    links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
+    for one, other in [*links, *[pair for _, pair in closures]]:
+        if one in limbs and other in limbs and limbs[one] is not limbs[other]:
+            limbs[one] |= limbs[other]
+            for body in limbs[other]:
+                limbs[body] = limbs[one]
     legs = []
     for wheel, chain in chains.items():
         limb = limbs.get(int(model.jnt_bodyid[wheel]), set())
@@ -191,33 +201,6 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
             )
         )
     return legs
-
-
-def _closures(tree: Tree) -> list[tuple[str, tuple[int, int]]]:
-    """Return the equality constraints between two bodies of the robot: name, bodies."""
-    model, found = tree.model, []
-    for index in range(model.neq):
-        if int(model.eq_type[index]) not in _HOLDS:
-            continue
-        pair = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-        if model.eq_objtype[index] != _BODY:
-            pair = int(model.site_bodyid[pair[0]]), int(model.site_bodyid[pair[1]])
-        if set(pair) <= set(tree.bodies):
-            found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
-    return found
-
-
-def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int]]:
-    """Return the connected bodies without the base, for each body that is not fixed to the base."""
-    fixed = set(tree.fixed_to(tree.base))
-    limbs = {body: {body} for body in tree.bodies if body not in fixed}
-    links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
-    for one, other in [*links, *closures]:
-        if one in limbs and other in limbs and limbs[one] is not limbs[other]:
-            limbs[one] |= limbs[other]
-            for body in limbs[other]:
-                limbs[body] = limbs[one]
-    return limbs
 
 
 _APART = 0.15  # A mirrored joint is at most this share of the robot's size away from the mirror image.

@@ -115,7 +115,10 @@ class _Problem:
         self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
-        self.pairs = self._pairs()
+        # The mirrored pairs of moving joints, as two indices and a sign.
+        index = {name: number for number, name in enumerate(self.joints)}
+        pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
+        self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
         self.rest = overlap_depths(model, self.data, self.bodies)  # Overlaps of the preferred pose are allowed.
         self.tallest = self.wanted = 0.0
 
@@ -125,12 +128,6 @@ class _Problem:
         keep = _MARGIN * (high - low)
         now = self.data.qpos[self.model.jnt_qposadr[ids]]
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
-
-    def _pairs(self) -> list[tuple[int, int, float]]:
-        """Return the mirrored pairs of moving joints, as two indices and a sign."""
-        index = {name: number for number, name in enumerate(self.joints)}
-        pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
-        return [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
 
     def at(self, positions: Array) -> mujoco.MjData:
         """Return MuJoCo's data of the robot in a pose, with contacts."""

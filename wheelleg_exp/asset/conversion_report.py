@@ -21,7 +21,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
@@ -187,20 +187,17 @@ class Report:
     def from_json(text: str) -> Report:
         """Parse a report."""
         try:
-            return _parse(json_value(text))
+            data = json_value(text)
+            if data["version"] != VERSION:
+                raise ValueError(f"the report has version {data['version']}, expected {VERSION}")
+            fields = {name: value for name, value in data.items() if name != "verdict"}  # a computed property
+            fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
+            fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
+            fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
+            fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
+            fields["warnings"] = tuple(data["warnings"])
+            fields["unresolved"] = tuple(data["unresolved"])
+            fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
+            return Report(**fields)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"a field of the report is missing or invalid: {error}") from error
-
-
-def _parse(data: Mapping[str, Any]) -> Report:
-    if data["version"] != VERSION:
-        raise ValueError(f"the report has version {data['version']}, expected {VERSION}")
-    fields = {name: value for name, value in data.items() if name != "verdict"}  # a computed property
-    fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
-    fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
-    fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
-    fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
-    fields["warnings"] = tuple(data["warnings"])
-    fields["unresolved"] = tuple(data["unresolved"])
-    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
-    return Report(**fields)

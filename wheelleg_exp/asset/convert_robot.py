@@ -80,17 +80,13 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
             require_near(dof.anchor, key=dof.path, where=str(source))
     for geom in (*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)):
         require_near((*geom.pose.position, *geom.size), key=geom.path, where=str(source))
-    return robot, _with_memory_warning(source, robot, report)
-
-
-def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) -> Report:
     points, available = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
     need = points * POINT_BYTES
     message = f"meshes with {points:,} points and triangles take about {shown_bytes(need)} of memory"
     if need > available:
         expected = f"less than the {shown_bytes(available)} of this machine: meshes with fewer triangles"
         raise AssetError(message, where=str(source), expected=expected)
-    return replace(report, warnings=(*report.warnings, f"{message}: simplify them")) if need > 2**30 else report
+    return robot, replace(report, warnings=(*report.warnings, f"{message}: simplify them")) if need > 2**30 else report
 
 
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:

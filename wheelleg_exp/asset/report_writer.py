@@ -27,14 +27,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
         return
-    for group in _ends(robot):
-        if not any(geom.collides for body in group for geom in body.geoms):
-            mass = sum(body.inertial.mass for body in group)
-            ledger.find("end_without_collider", group[0].name, group[0].path, mass=mass)
-
-
-def _ends(robot: RobotDescription) -> list[list[Body]]:
-    """Return the group of welded bodies at the end of each limb; the body with the joint comes first in the group."""
+    # The group of welded bodies at the end of each limb; the body with the joint comes first in the group.
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -44,7 +37,10 @@ def _ends(robot: RobotDescription) -> list[list[Body]]:
         groups.setdefault(top[body.name], []).append(body)
         if body.parent is not None and not welded:
             inner.add(top[body.parent])
-    return [group for name, group in groups.items() if name not in inner and group[0].dofs]
+    for name, group in groups.items():
+        if name not in inner and group[0].dofs and not any(geom.collides for body in group for geom in body.geoms):
+            mass = sum(body.inertial.mass for body in group)
+            ledger.find("end_without_collider", group[0].name, group[0].path, mass=mass)
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
@@ -110,11 +106,14 @@ def report_of(
         for item in ledger.findings
     )
     mapped, assumed, left, warnings = ledger.entries()
+    # How the root bodies connect to the world: floating, fixed, or attached by a joint.
+    roots = list(robot.children(None))
+    kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return Report(
         source=source,
         model=robot.name,
         root=root,
-        base=base_of(robot),
+        base=", ".join(sorted(kinds)),
         stage=stage,
         variants=variants,
         totals=totals(robot, findings),
@@ -131,13 +130,6 @@ def report_of(
         authored=plain(ledger.authored),
         layers=layers,
     )
-
-
-def base_of(robot: RobotDescription) -> str:
-    """Return how the root bodies connect to the world: floating, fixed, or attached by a joint."""
-    roots = list(robot.children(None))
-    kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
-    return ", ".join(sorted(kinds))
 
 
 def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:

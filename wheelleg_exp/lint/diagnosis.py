@@ -235,13 +235,9 @@ class Diagnosis:
 
 def diagnose_file(source: Path) -> Diagnosis:
     """Diagnose a robot's USD, URDF, or MJCF file. An unreadable file raises AssetError."""
-    return diagnose_case(str(source), case_of_file(source))
-
-
-def diagnose_case(subject: str, case: Case) -> Diagnosis:
-    """Diagnose a robot without a task, as ``case_of_file`` returns it."""
+    case = case_of_file(source)
     found = [finding for name in OF_ROBOT for finding in RULES[name](case)]
-    return Diagnosis(subject, case, tuple(found), (), tuple(notes_on(case)))
+    return Diagnosis(str(source), case, tuple(found), (), tuple(notes_on(case)))
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
@@ -280,7 +276,10 @@ def notes_on(case: Case) -> list[str]:
             f"the centre of mass above the wheels: {1e3 * weight.ahead:+.1f} mm along forwards, "
             f"{1e3 * weight.above:.4g} mm over the axle, a lean of {math.degrees(weight.lean):+.1f}°"
         )
-    notes += _opposite(robot)
+    signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
+    backwards = [name for name, sign in signs.items() if sign < 0]
+    if backwards and len(backwards) < len(signs):
+        notes += [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight"]
     return notes + _self_collisions(robot)
 
 
@@ -293,14 +292,6 @@ def _wheels_note(robot: CompiledRobot) -> str:
         return f"{count}, which do not roll in one direction"
     x, y, z = anatomy.forward
     return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) in the base '{anatomy.base}'"
-
-
-def _opposite(robot: CompiledRobot) -> list[str]:
-    signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
-    backwards = [name for name, sign in signs.items() if sign < 0]
-    if backwards and len(backwards) < len(signs):
-        return [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight"]
-    return []
 
 
 def _self_collisions(robot: CompiledRobot) -> list[str]:

@@ -153,7 +153,13 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        shifts = _shifts(case)
+        # The difference between the target at an action of 0 and the default position of each joint, rad.
+        shifts: dict[str, float] = {}
+        for term in case.terms("actions", "actions.JointPositionAction"):
+            if not term.node.get("use_default_offset", True):
+                moved = case.joints(term.node)
+                offsets = case.by_joint(term.node.get("offset", 0.0), list(moved), 0.0)
+                shifts |= {name: float(offsets[name]) - joint.default for name, joint in moved.items()}
         sags = {
             other: abs(found.hold / found.drive.stiffness - shifts.get(other, 0.0))
             for other, found in joints.items()
@@ -176,17 +182,6 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 def _in_loops(case: Case) -> set[str]:
     legs = case.robot.anatomy.legs if case.robot is not None else ()
     return {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
-
-
-def _shifts(case: Case) -> dict[str, float]:
-    """Return the difference between the target at an action of 0 and the default position of each joint, rad."""
-    shifts: dict[str, float] = {}
-    for term in case.terms("actions", "actions.JointPositionAction"):
-        if not term.node.get("use_default_offset", True):
-            joints = case.joints(term.node)
-            offsets = case.by_joint(term.node.get("offset", 0.0), list(joints), 0.0)
-            shifts |= {name: float(offsets[name]) - joint.default for name, joint in joints.items()}
-    return shifts
 
 
 @rule

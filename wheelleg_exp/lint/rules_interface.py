@@ -183,7 +183,9 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
-        if _is_normalised(case, term.path.split(".")[2]):
+        group = term.path.split(".")[2]
+        networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
+        if bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks):
             continue
         size, scale = signal_size(case, term), largest_scale(term.node.get("scale"))
         if size is None or size == 0.0 or _SMALLEST <= size * scale <= _LARGEST:
@@ -200,11 +202,6 @@ def largest_scale(scale: Any) -> float:
     if scale is None:
         return 1.0
     return largest(scale) if isinstance(scale, list) else abs(float(scale))
-
-
-def _is_normalised(case: Case, group: str) -> bool:
-    networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
-    return bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks)
 
 
 def signal_size(case: Case, term: TermView) -> float | None:

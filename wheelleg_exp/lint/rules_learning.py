@@ -86,7 +86,14 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
 
 def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
     kind = TRACKING[term.kind]
-    drift = _unit_speed(case)
+    # The speed at one unit of wheel action, m/s; a tenth of the top speed without such an action.
+    drift = 0.1 * case.facts.top_speed
+    for action in case.terms("actions", "actions.JointVelocityAction"):
+        scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
+        driven = [abs(float(scale)) for name, scale in scales.items() if name in case.facts.wheels]
+        if driven:
+            drift = max(driven) * case.facts.wheel_radius
+            break
     if kind == "ang":
         drift = 2 * drift / case.facts.track if case.facts.track else 0.0
     score = math.exp(-((drift / std) ** 2))
@@ -102,16 +109,6 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
         {"std": std, "range": 0.0, "drift": drift, "still": 1.0, "drifting": score},
         ({f"{term.path}.std": narrow},),
     )
-
-
-def _unit_speed(case: Case) -> float:
-    """Return the speed at one unit of wheel action, m/s; a tenth of the top speed without such an action."""
-    for action in case.terms("actions", "actions.JointVelocityAction"):
-        scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
-        driven = [abs(float(scale)) for name, scale in scales.items() if name in case.facts.wheels]
-        if driven:
-            return max(driven) * case.facts.wheel_radius
-    return 0.1 * case.facts.top_speed
 
 
 @rule

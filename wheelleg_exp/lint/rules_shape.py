@@ -133,7 +133,19 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     weight = weight_over_axle(robot)
     chosen = "task" in case.config
     if not robot.anatomy.one_axle:
-        yield from _outside(robot, weight.place, _EDGE if chosen else 0.0)
+        anatomy, base = robot.anatomy, robot.model.body(robot.anatomy.base).id
+        local = robot.data.xmat[base].reshape(3, 3).T @ (weight.place - robot.data.xpos[base])
+        ahead = float(local @ np.array(anatomy.forward))
+        contacts = [float(np.array(wheel.contact) @ np.array(anatomy.forward)) for wheel in anatomy.standing]
+        margin = min(ahead - min(contacts), max(contacts) - ahead)
+        if margin < (_EDGE if chosen else 0.0) * anatomy.support_length:
+            yield Finding(
+                "env.robot.init_state.joint_pos",
+                f"the centre of mass is {1e3 * abs(margin):.3g} mm {'outside' if margin < 0 else 'inside'} the "
+                f"outermost wheels, which are {1e3 * anatomy.support_length:.4g} mm apart: the robot tips over them",
+                "a pose with the wheels farther apart, or the masses nearer to the middle",
+                {"margin_m": margin, "length_m": anatomy.support_length},
+            )
         return
     if abs(weight.lean) <= (_LEAN if chosen else _DRAWN_LEAN):
         return
@@ -155,22 +167,6 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         hint,
         figures,
     )
-
-
-def _outside(robot: CompiledRobot, place: np.ndarray, edge: float) -> Iterator[Finding]:
-    anatomy, base = robot.anatomy, robot.model.body(robot.anatomy.base).id
-    local = robot.data.xmat[base].reshape(3, 3).T @ (place - robot.data.xpos[base])
-    ahead = float(local @ np.array(anatomy.forward))
-    contacts = [float(np.array(wheel.contact) @ np.array(anatomy.forward)) for wheel in anatomy.standing]
-    margin = min(ahead - min(contacts), max(contacts) - ahead)
-    if margin < edge * anatomy.support_length:
-        yield Finding(
-            "env.robot.init_state.joint_pos",
-            f"the centre of mass is {1e3 * abs(margin):.3g} mm {'outside' if margin < 0 else 'inside'} the outermost "
-            f"wheels, which are {1e3 * anatomy.support_length:.4g} mm apart: the robot tips over them",
-            "a pose with the wheels farther apart, or the masses nearer to the middle",
-            {"margin_m": margin, "length_m": anatomy.support_length},
-        )
 
 
 @rule
@@ -286,7 +282,15 @@ def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     pairs = [pair for pair in robot.drawn.mirrored if pair.left != pair.right]
     displaced = [pair for pair in pairs if pair.offset > _PLACE * robot.drawn.size or pair.tilt > _TILT]
     if displaced:
-        yield _displaced(displaced, set(robot.drawn.wheel_joints))
+        first, more = displaced[0], len(displaced) - 1
+        what = "the wheels of " if first.left in set(robot.drawn.wheel_joints) else ""
+        by = ", by the middles of their colliders" if what else ""
+        others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
+        message = f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
+        message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
+        yield Finding(
+            _ASSET, message, _HINT, {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(displaced))}
+        )
     findings = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
     yield from findings[:_MOST]
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
@@ -297,18 +301,6 @@ def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side",
             "check the origins of these joints in the file",
         )
-
-
-def _displaced(pairs: list[MirroredPair], wheels: set[str]) -> Finding:
-    first, more = pairs[0], len(pairs) - 1
-    what = "the wheels of " if first.left in wheels else ""
-    by = ", by the middles of their colliders" if what else ""
-    others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
-    message = f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
-    message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
-    return Finding(
-        _ASSET, message, _HINT, {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))}
-    )
 
 
 def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
@@ -324,7 +316,18 @@ def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
         )
     else:
         yield from _centres(robot, one, other, max(masses))
-    yield from _limits(robot, pair)
+    model = robot.model
+    left_id, right_id = (model.joint(name).id for name in (pair.left, pair.right))
+    if not (model.jnt_limited[left_id] and model.jnt_limited[right_id]):
+        return
+    low, high = (model.jnt_range[left_id] - robot.zero(pair.left)).tolist()
+    image = sorted((pair.sign * (model.jnt_range[right_id] - robot.zero(pair.right))).tolist())
+    worst = max(abs(low - image[0]), abs(high - image[1]))
+    if worst > _ANGLE:
+        ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[left_id], model.jnt_range[right_id])]
+        message = f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
+        message += f"{worst:.3g} off"
+        yield Finding(_ASSET, message, _HINT, {"difference": worst})
 
 
 def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterator[Finding]:
@@ -349,21 +352,6 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
             _HINT,
             {"offset_m": distance},
         )
-
-
-def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
-    model = robot.model
-    one, other = (model.joint(name).id for name in (pair.left, pair.right))
-    if not (model.jnt_limited[one] and model.jnt_limited[other]):
-        return
-    low, high = (model.jnt_range[one] - robot.zero(pair.left)).tolist()
-    image = sorted((pair.sign * (model.jnt_range[other] - robot.zero(pair.right))).tolist())
-    worst = max(abs(low - image[0]), abs(high - image[1]))
-    if worst > _ANGLE:
-        ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[one], model.jnt_range[other])]
-        message = f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
-        message += f"{worst:.3g} off"
-        yield Finding(_ASSET, message, _HINT, {"difference": worst})
 
 
 @rule

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from importlib import resources
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
@@ -153,8 +152,13 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
         beside = Path(os.path.relpath(home.parent / path.name))
         raise NameTaken("a project cannot be inside wheelleg_exp itself", key=str(path), nearest=str(beside))
-    if source is not None:
-        _require_source(source)
+    if source is not None and not source.is_file():
+        folder = source.absolute().parent
+        names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
+        near = None if source.is_dir() else nearest_name(source.name, names)
+        nearest = str(source.with_name(near)) if near else None
+        message = "the path is a folder" if source.is_dir() else "there is no such file"
+        raise AssetError(message, key=f"--robot {source}", expected="a USD or URDF file", nearest=nearest)
     # Write a draft folder next to the target and rename it, so that a failed check leaves no files at the target.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
@@ -171,25 +175,20 @@ def _require_free(path: Path) -> None:
         raise NameTaken("the folder exists already, and no file is overwritten", key=str(path), expected="a new name")
 
 
-def _require_source(source: Path) -> None:
-    if source.is_file():
-        return
-    folder = source.absolute().parent
-    beside = [file.name for file in folder.iterdir()] if folder.is_dir() else []
-    nearest = None if source.is_dir() else nearest_name(source.name, beside)
-    raise AssetError(
-        "the path is a folder" if source.is_dir() else "there is no such file",
-        key=f"--robot {source}",
-        expected="a USD or URDF file",
-        nearest=str(source.with_name(nearest)) if nearest else None,
-    )
-
-
 def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    robot = _surveyed(source, draft / "assets" / name, env, pose, allow_missing)
+    # Copy and survey a robot. An error names the file of the user, not the copy.
+    folder = draft / "assets" / name
+    try:
+        robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
+    except AssetError as error:
+        for part in ("message", "key", "where"):
+            value = getattr(error, part)
+            if value is not None:
+                setattr(error, part, value.replace(str(folder), str(source.parent)))
+        raise
     asset = f"{name}/{source.name}"
     texts = {f"robot/{name}.yaml": robot_yaml(name, asset, robot), **config_files(name, robot)}
     write(draft, {f"configs/{file}": text for file, text in texts.items()})
@@ -212,17 +211,3 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
     finally:
         projects.forget(draft)
     return robot, accepted
-
-
-def _surveyed(
-    source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float], allow_missing: bool
-) -> Survey:
-    """Copy and survey a robot. An error names the file of the user, not the copy."""
-    try:
-        return survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
-    except AssetError as error:
-        for part in ("message", "key", "where"):
-            text = getattr(error, part)
-            if text is not None:
-                setattr(error, part, text.replace(str(folder), str(source.parent)))
-        raise

@@ -52,27 +52,23 @@ def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdU
     """
     from pxr import UsdUtils
 
-    layers = {layer.realPath for layer in _all_layers(source)}
+    found: dict[str, Sdf.Layer] = {}
+    todo = open_layers(source)
+    while todo:
+        item = todo.pop()
+        if item.identifier not in found:
+            found[item.identifier] = item
+            paths = {Path(item.ComputeAbsolutePath(name)) for name in _asset_paths(item)}
+            for path in sorted(paths):
+                if str(path) not in found and path.suffix.lower() in SUFFIXES and path.exists():
+                    todo += open_layers(path)
+    layers = {layer.realPath for layer in list(found.values())}
 
     def choose(layer: Sdf.Layer, named: UsdUtils.DependencyInfo) -> UsdUtils.DependencyInfo:
         files = [layer.ComputeAbsolutePath(name) for name in (named.assetPath, *named.dependencies)]
         return named if all(file in layers or _is_look(Path(file)) for file in files) else UsdUtils.DependencyInfo()
 
     return choose
-
-
-def _all_layers(source: Path) -> list[Sdf.Layer]:
-    found: dict[str, Sdf.Layer] = {}
-    todo = open_layers(source)
-    while todo:
-        layer = todo.pop()
-        if layer.identifier not in found:
-            found[layer.identifier] = layer
-            files = {Path(layer.ComputeAbsolutePath(name)) for name in _asset_paths(layer)}
-            for file in sorted(files):
-                if str(file) not in found and file.suffix.lower() in SUFFIXES and file.exists():
-                    todo += open_layers(file)
-    return list(found.values())
 
 
 def _asset_paths(layer: Sdf.Layer) -> set[str]:

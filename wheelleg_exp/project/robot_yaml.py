@@ -236,6 +236,13 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
         if moved
         else "  # rad; all joints are 0"
     )
+    groups = ""
+    if robot.legs:
+        groups += _group("legs", robot.legs, leg_gains(robot))
+    if robot.held:
+        groups += _group("held", robot.held, leg_gains(robot, robot.held))
+    if robot.wheels:
+        groups += _group("wheels", robot.wheels, wheel_gains(robot))
     return f"""# @package env.robot
 # {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_counted(len(robot.wheels), "wheel")}{size}{held}.
 profile: {name}    # name in results
@@ -251,7 +258,7 @@ joint_order: null                  # breadth first, as in PhysX; or a list of al
 soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
 friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
 {_frame(robot)}{_self_collisions(robot)}actuators:
-{_groups(robot)}"""
+{groups}"""
 
 
 def spawn_height(robot: Survey) -> float:
@@ -298,17 +305,6 @@ def _counted(count: int, what: str) -> str:
 def _limits(robot: Survey) -> str:
     at_zero = [n for n, dof in robot.dofs.items() if dof.range is not None and not dof.range[0] <= 0.0 <= dof.range[1]]
     return "; 0 is outside the limits of " + ", ".join(at_zero) if at_zero else ""
-
-
-def _groups(robot: Survey) -> str:
-    groups = ""
-    if robot.legs:
-        groups += _group("legs", robot.legs, leg_gains(robot))
-    if robot.held:
-        groups += _group("held", robot.held, leg_gains(robot, robot.held))
-    if robot.wheels:
-        groups += _group("wheels", robot.wheels, wheel_gains(robot))
-    return groups
 
 
 def _group(name: str, joints: list[str], gains: Gains) -> str:

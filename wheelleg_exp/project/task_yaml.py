@@ -26,10 +26,21 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
     """Return the texts of the task file and of the project's own terms, by path below ``configs/``."""
     files = {f"task/{name}.yaml": task_yaml(name, robot), f"reward/{name}_upright.yaml": _upright(name, robot)}
     if robot.legs:
-        files[f"action/{name}_legs.yaml"] = _leg_action(name, robot)
+        files[f"action/{name}_legs.yaml"] = f"""# Legs: position targets around the default pose.
+{name}_legs:
+  _target_: wheelleg_exp.mdp.actions.JointPositionAction
+  joint_names: {names(robot.legs, 4, 15)}
+  scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
+  use_default_offset: true
+"""
         files[f"observation/{name}_leg_pos.yaml"] = _leg_positions(name, robot)
     if robot.wheels:
-        files[f"action/{name}_wheels.yaml"] = _wheel_action(name, robot)
+        files[f"action/{name}_wheels.yaml"] = f"""# Wheels: velocity targets.
+{name}_wheels:
+  _target_: wheelleg_exp.mdp.actions.JointVelocityAction
+  joint_names: {names(robot.wheels, 4, 15)}
+  scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
+"""
     if robot.raised_bodies:
         files[f"termination/{name}_contact.yaml"] = _contact(name, robot)
     return files
@@ -116,6 +127,17 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
+    # The start tilts, if those of the stock task would put a wheel or foot into the ground.
+    anatomy = robot.anatomy
+    # The positions of feet are unknown, so assume half of the robot's size.
+    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
+    if anatomy.forward is not None:
+        along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
+        arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
+    dip = _DIP * anatomy.size
+    most = {axis: math.floor(1e3 * dip / arm) / 1e3 for axis, arm in arms.items() if arm * _TILT > dip}
+    ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
+    tilts = f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel or foot into the ground\n"
     return f"""  events:                  # the stock disturbances, sized for {robot.facts.mass:.3g} kg
     add_base_mass:
       mass_distribution_params: [{low}, {high}]    # kg
@@ -126,25 +148,7 @@ def _events(robot: Survey) -> str:
       asset_cfg: {{body_names: {trunk}}}
     physics_material: {{restitution_range: [0.0, 0.0]}}    # MuJoCo has none
     reset_robot_joints: {{velocity_range: [1.0, 1.0]}}     # a factor on defaults of 0
-{_tilt(robot)}"""
-
-
-def _tilt(robot: Survey) -> str:
-    """Return the start tilts, if those of the stock task would put a wheel or foot into the ground."""
-    anatomy = robot.anatomy
-    # The positions of feet are unknown, so assume half of the robot's size.
-    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
-    if anatomy.forward is not None:
-        along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
-        arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
-    dip = _DIP * anatomy.size
-    most = {axis: math.floor(1e3 * dip / arm) / 1e3 for axis, arm in arms.items() if arm * _TILT > dip}
-    ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
-    return (
-        f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel or foot into the ground\n"
-        if ranges
-        else ""
-    )
+{tilts if ranges else ""}"""
 
 
 def _rewards(robot: Survey) -> str:
@@ -156,7 +160,13 @@ def _rewards(robot: Survey) -> str:
     action_rate: {{weight: {number(-0.4 / max(1, len(robot.legs) + len(robot.wheels)), 2)}}}
 """
     if robot.level:
-        text += _motion(robot)
+        gravity, size, track = robot.facts.gravity, robot.size, robot.facts.track
+        turning = min(_STD, 2 * _tolerance(robot) / track) if track else _STD
+        text += f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}
+    ang_vel_xy: {{weight: {number(-_COST * size / (0.01 * gravity), 2)}}}
+    track_lin_vel_xy: {{weight: 2.0, std: {number(_tolerance(robot), 2)}}}   # m/s
+    track_ang_vel_z: {{weight: 1.0, std: {number(turning, 2)}}}   # rad/s
+"""
     if robot.legs:
         text += f"""    leg_joint_deviation:
       weight: -0.5
@@ -168,26 +178,6 @@ def _rewards(robot: Survey) -> str:
       sensor_cfg: {{body_names: {names(robot.wheel_bodies, 8, 31)}}}
 """
     return text
-
-
-def _motion(robot: Survey) -> str:
-    gravity, size, track = robot.facts.gravity, robot.size, robot.facts.track
-    turning = min(_STD, 2 * _tolerance(robot) / track) if track else _STD
-    return f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}
-    ang_vel_xy: {{weight: {number(-_COST * size / (0.01 * gravity), 2)}}}
-    track_lin_vel_xy: {{weight: 2.0, std: {number(_tolerance(robot), 2)}}}   # m/s
-    track_ang_vel_z: {{weight: 1.0, std: {number(turning, 2)}}}   # rad/s
-"""
-
-
-def _leg_action(name: str, robot: Survey) -> str:
-    return f"""# Legs: position targets around the default pose.
-{name}_legs:
-  _target_: wheelleg_exp.mdp.actions.JointPositionAction
-  joint_names: {names(robot.legs, 4, 15)}
-  scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
-  use_default_offset: true
-"""
 
 
 def _tolerance(robot: Survey) -> float:
@@ -212,15 +202,6 @@ def _leg_scale(robot: Survey) -> float:
         reach += [robot.positions[name] - low, high - robot.positions[name], gains.effort[name] / gains.stiffness[name]]
     smallest, largest = _LEG_SCALE
     return min(largest, max(smallest, math.floor(100 * min(reach)) / 100 if min(reach) < largest else largest))
-
-
-def _wheel_action(name: str, robot: Survey) -> str:
-    return f"""# Wheels: velocity targets.
-{name}_wheels:
-  _target_: wheelleg_exp.mdp.actions.JointVelocityAction
-  joint_names: {names(robot.wheels, 4, 15)}
-  scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
-"""
 
 
 def _leg_positions(name: str, robot: Survey) -> str:

@@ -16,7 +16,6 @@ from wheelleg_exp.asset.mjcf.default_classes import gather
 from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
 from wheelleg_exp.asset.robot_description import (
     Body,
-    Dof,
     Geom,
     Mesh,
     Numbered,
@@ -115,7 +114,12 @@ class Writer:
 
     def text(self) -> str:
         root = Element("mujoco", {"model": self.robot.name})
-        self._settings(root)
+        files = any(len(mesh.faces) for mesh in self.robot.meshes)
+        folder = self.mesh_folder if files else None
+        root.add("compiler", self.robot.compiler, angle="radian", autolimits=True, meshdir=folder)
+        option = root.add("option", self.robot.option, gravity=self.robot.gravity)
+        if self.robot.flag:
+            option.add("flag", self.robot.flag)
         out = Element("asset")
         for item in self.robot.materials:
             out.add("material", name=item.name, rgba=item.rgba, metallic=item.metallic, roughness=item.roughness)
@@ -123,7 +127,17 @@ class Writer:
             inertia = "convex" if mesh.solid else "shell"
             own: Attributes = {"file": file_name(mesh)} if len(mesh.faces) else {"vertex": mesh.vertices.ravel()}
             out.children.append(Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra}))
-        parts = (self.classes.element(), out, self._world(), self._contacts(), self._equalities())
+        world = Element("worldbody")
+        for geom in self.robot.static_geoms:
+            self._geom(world, geom, static=True)
+        self._sites(world, self.robot.static_sites, None)
+        made: dict[str | None, Element] = {None: world}
+        for body in self.robot.bodies:  # ``bodies`` lists parents before children
+            made[body.name] = self._body(made[body.parent], body)
+        contact = Element("contact")
+        for first, second in self.robot.exclusions:
+            contact.add("exclude", body1=first, body2=second)
+        parts = (self.classes.element(), out, world, contact, self._equalities())
         for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
             if element.children:
                 root.children.append(element)
@@ -132,34 +146,14 @@ class Writer:
                 f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
                 expected=f"at most {DEEPEST - 3}, MuJoCo's limit",
             )
-        root.comment = "\n".join(self._head(self.notes.write()))
-        return root.text() + "\n"
-
-    def _head(self, notes: list[str]) -> list[str]:
+        notes = self.notes.write()
         lines = [f"{self.robot.name}: SI units, radians, z up. Converted by 'wheelleg convert'."]
         if notes:
             lines += ["Assumed:", *(f"  {note}" for note in notes[:SHOWN_NOTES])]
         if len(notes) > SHOWN_NOTES:
             lines.append(f"  and {len(notes) - SHOWN_NOTES} more, in the report")
-        return lines
-
-    def _settings(self, root: Element) -> None:
-        files = any(len(mesh.faces) for mesh in self.robot.meshes)
-        folder = self.mesh_folder if files else None
-        root.add("compiler", self.robot.compiler, angle="radian", autolimits=True, meshdir=folder)
-        option = root.add("option", self.robot.option, gravity=self.robot.gravity)
-        if self.robot.flag:
-            option.add("flag", self.robot.flag)
-
-    def _world(self) -> Element:
-        world = Element("worldbody")
-        for geom in self.robot.static_geoms:
-            self._geom(world, geom, static=True)
-        self._sites(world, self.robot.static_sites, None)
-        made: dict[str | None, Element] = {None: world}
-        for body in self.robot.bodies:  # ``bodies`` lists parents before children
-            made[body.name] = self._body(made[body.parent], body)
-        return world
+        root.comment = "\n".join(lines)
+        return root.text() + "\n"
 
     def _body(self, parent: Element, body: Body) -> Element:
         passes_class = body.parent is None and self.classes.inherited()
@@ -174,25 +168,22 @@ class Writer:
         if body.floating:
             out.add("freejoint", name=self.names.free_joints[body.name])
         for dof in body.dofs:
-            self._joint(out, dof)
+            element = out.add(
+                "joint",
+                self.classes.rest("joint", dof.name),
+                name=dof.name,
+                class_=self.classes.of("joint", dof.name),
+                type=None if dof.kind == "hinge" else dof.kind,
+                pos=dof.anchor if any(dof.anchor) else None,
+                axis=None if dof.kind == "ball" else dof.axis,
+                range=dof.range,
+                ref=dof.ref or None,
+            )
+            self.notes.place(dof.path, element)
         self._sites(out, body.sites, body.name)
         for geom in body.geoms:
             self._geom(out, geom)
         return out
-
-    def _joint(self, out: Element, dof: Dof) -> None:
-        element = out.add(
-            "joint",
-            self.classes.rest("joint", dof.name),
-            name=dof.name,
-            class_=self.classes.of("joint", dof.name),
-            type=None if dof.kind == "hinge" else dof.kind,
-            pos=dof.anchor if any(dof.anchor) else None,
-            axis=None if dof.kind == "ball" else dof.axis,
-            range=dof.range,
-            ref=dof.ref or None,
-        )
-        self.notes.place(dof.path, element)
 
     def _sites(self, out: Element, sites: tuple[Site, ...], owner: str | None) -> None:
         for site in sites:
@@ -216,12 +207,6 @@ class Writer:
             mesh=geom.mesh,
         )
         self.notes.place(geom.path, element)
-
-    def _contacts(self) -> Element:
-        out = Element("contact")
-        for first, second in self.robot.exclusions:
-            out.add("exclude", body1=first, body2=second)
-        return out
 
     def _equalities(self) -> Element:
         out = Element("equality")

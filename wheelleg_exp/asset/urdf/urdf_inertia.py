@@ -43,7 +43,14 @@ def inertials(
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
     # MuJoCo needs mass and inertia only for one link of each group of welded links.
-    for group in _welded(tree, base):
+    groups: dict[str, list[Link]] = {}
+    tops: dict[str, str] = {}
+    for member in tree.depth_first():
+        joint = member.joint
+        dropped = base == "floating" and joint is not None and joint.parent is tree.world
+        tops[member.name] = tops[joint.parent.name] if joint and joint.welds and not dropped else member.name
+        groups.setdefault(tops[member.name], []).append(member)
+    for group in groups.values():
         top = group[0]
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
@@ -72,17 +79,6 @@ def _moving(document: Document, group: list[Link], colliders: dict[str, list[Sha
     reason = "the link moves, and neither it nor links welded to it have a mass"
     document.ledger.warn(f"{top.element.path}: {reason}; the model's mass is {mass:.6g} kg, as in PhysX")
     return heavy
-
-
-def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
-    groups: dict[str, list[Link]] = {}
-    top: dict[str, str] = {}
-    for link in tree.depth_first():
-        joint = link.joint
-        dropped = base == "floating" and joint is not None and joint.parent is tree.world
-        top[link.name] = top[joint.parent.name] if joint and joint.welds and not dropped else link.name
-        groups.setdefault(top[link.name], []).append(link)
-    return list(groups.values())
 
 
 def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> Part:

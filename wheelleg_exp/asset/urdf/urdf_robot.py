@@ -47,7 +47,15 @@ def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[Dof, ...]:
     suffixes = PLANAR if joint.kind == "planar" else ("",)
     if not axes:
         return ()
-    limits = _limits(document, joint)
+    element = joint.element.first("limit")
+    if joint.kind in ("planar", "spherical"):
+        limits = _Limits()  # reported by the audit
+    elif element is None:
+        limits = _Limits(_range(document, joint, None))
+    else:
+        limits = _Limits(
+            _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
+        )
     return tuple(_dof(document, joint, axis, suffix, limits) for axis, suffix in zip(axes, suffixes, strict=True))
 
 
@@ -91,17 +99,6 @@ class _Limits:
     range: Range | None = None
     effort: Range | None = None
     velocity: float | None = None
-
-
-def _limits(document: Document, joint: Joint) -> _Limits:
-    element = joint.element.first("limit")
-    if joint.kind in ("planar", "spherical"):
-        return _Limits()  # reported by the audit
-    if element is None:
-        return _Limits(_range(document, joint, None))
-    return _Limits(
-        _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
-    )
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:

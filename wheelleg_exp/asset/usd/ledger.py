@@ -102,7 +102,16 @@ def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
         return None
     wrong = _wrong(value, kind)
     if wrong:
-        raise _mistake(attribute, wrong, kind)
+        expected = _EXPECTED[kind.what].format(length=kind.length) if kind else "finite numbers"
+        if wrong.startswith("is infinite") or "NaN" in wrong:
+            expected = "finite numbers" if kind is None or kind.what in ("vector", "array") else "a finite number"
+        stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
+        raise AssetError(
+            f"'{attribute.GetName()}' {wrong}",
+            key=str(attribute.GetPrim().GetPath()),
+            where=stack[0].layer.GetDisplayName() if stack else None,
+            expected=expected,
+        )
     return bool(value) if kind and kind.what == "flag" else value
 
 
@@ -146,19 +155,6 @@ def _has_nan(value: Any) -> bool:
 def _shown(value: Any) -> str:
     text = f"'{value}'" if isinstance(value, str) else " ".join(str(value).split())
     return text if len(text) <= 40 else text[:40] + "..."
-
-
-def _mistake(attribute: Usd.Attribute, wrong: str, kind: ValueKind | None) -> AssetError:
-    expected = _EXPECTED[kind.what].format(length=kind.length) if kind else "finite numbers"
-    if wrong.startswith("is infinite") or "NaN" in wrong:
-        expected = "finite numbers" if kind is None or kind.what in ("vector", "array") else "a finite number"
-    stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
-    return AssetError(
-        f"'{attribute.GetName()}' {wrong}",
-        key=str(attribute.GetPrim().GetPath()),
-        where=stack[0].layer.GetDisplayName() if stack else None,
-        expected=expected,
-    )
 
 
 def plain(value: Any) -> Any:

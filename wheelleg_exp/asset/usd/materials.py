@@ -102,7 +102,11 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     # As in PhysX, the shape's own material overrides the scene's default material, which overrides a constant.
     material = physics_material(stage, prim) or _scene_material(stage)
     if material is None:
-        return _unbound(stage)
+        if any(name.startswith("Mjc") for scene in stage.physics_scenes for name in schemas(scene)):
+            return None
+        rule = "colliders without a physics material: PhysX's default friction"
+        stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
+        return PHYSX_FRICTION
     ledger = stage.ledger
     dynamic = ledger.read(material, "physics:dynamicFriction", "geom friction[0]")
     for name, reason in _NO_PLACE.items():
@@ -125,14 +129,6 @@ def _scene_material(stage: Stage) -> Usd.Prim | None:
         if material is not None:
             return material
     return None
-
-
-def _unbound(stage: Stage) -> float | None:
-    if any(name.startswith("Mjc") for scene in stage.physics_scenes for name in schemas(scene)):
-        return None
-    rule = "colliders without a physics material: PhysX's default friction"
-    stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
-    return PHYSX_FRICTION
 
 
 _NO_PLACE = {

@@ -217,11 +217,11 @@ def with_options(stage: Stage, robot: RobotDescription) -> RobotDescription:
     for name, reason in COMPILER.items():
         leave(stage, scene, f"mjc:compiler:{name}", reason)
     robot = with_compiled_masses(stage, scene, robot)
-    flags = {**robot.flag, **_flags(stage, scene)}
-    return replace(robot, option={**robot.option, **_options(stage, scene)}, flag=flags)
-
-
-def _options(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
+    switches = attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS.split()})
+    passive = stage.ledger.read(scene, "mjc:flag:passive", "flags spring and damper")  # of older files
+    if passive is not None:
+        switches = {"spring": passive, "damper": passive, **switches}
+    flags = {**robot.flag, **{name: "enable" if on else "disable" for name, on in switches.items()}}
     found: dict[str, Attribute] = {}
     name = "mjc:option:integrator"
     integrator = stage.ledger.read(scene, name, "option integrator")
@@ -233,15 +233,7 @@ def _options(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
     off = [g for g in indices(stage, scene, "mjc:option:actuatorgroupdisable", "option") if 0 <= g < GROUPS]
     if off:
         found["actuatorgroupdisable"] = " ".join(map(str, off))
-    return found
-
-
-def _flags(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
-    found = attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS.split()})
-    passive = stage.ledger.read(scene, "mjc:flag:passive", "flags spring and damper")  # of older files
-    if passive is not None:
-        found = {"spring": passive, "damper": passive, **found}
-    return {name: "enable" if on else "disable" for name, on in found.items()}
+    return replace(robot, option={**robot.option, **found}, flag=flags)
 
 
 COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")

@@ -298,7 +298,15 @@ def _points(
     route = _route(stage, prim)
     segments = indices(stage, prim, "mjc:path:segments", "the tendon's pulleys") or [0] * len(route)
     divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)
-    sides = _sides(stage, prim, len(route), sites)
+    count = len(route)
+    targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
+    order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
+    if len(order) != count or max(order) >= len(targets):
+        raise _BrokenPath("the tendon's path does not match its side sites")
+    missing = [path for path in targets if path not in sites]
+    if missing:
+        raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
+    sides = [sites[targets[i]] if i >= 0 else None for i in order]
     if len(segments) != len(route) or max(segments) >= len(divisors):
         raise _BrokenPath("the tendon's path does not match its segments")
     points: list[TendonPoint] = []
@@ -314,24 +322,19 @@ def _points(
     return tuple(points)
 
 
-def _sides(stage: Stage, prim: Usd.Prim, count: int, sites: Mapping[str, str]) -> list[str | None]:
-    targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
-    order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
-    if len(order) != count or max(order) >= len(targets):
-        raise _BrokenPath("the tendon's path does not match its side sites")
-    missing = [path for path in targets if path not in sites]
-    if missing:
-        raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
-    return [sites[targets[i]] if i >= 0 else None for i in order]
-
-
 WRAPPED = {"sphere", "cylinder"}
 
 
 def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
     """Return the robot with a geom added for each shape on a tendon's path that has no geom yet."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
-    prims = [prim for prim in _wrapped(stage) if str(prim.GetPath()) not in known]
+    found: dict[str, Usd.Prim] = {}
+    for tendon in tendon_prims(stage):
+        for target in stage.ledger.targets(tendon, "mjc:path"):
+            wrapped = stage.usd.GetPrimAtPath(target)
+            if wrapped and not is_site(wrapped):
+                found[str(target)] = wrapped
+    prims = [prim for prim in found.values() if str(prim.GetPath()) not in known]
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
     taken = Numbered(geom.name for geom in geoms)
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
@@ -353,16 +356,6 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
     return replace(robot, bodies=bodies, static_geoms=(*robot.static_geoms, *added.get(None, [])))
 
 
-def _wrapped(stage: Stage) -> list[Usd.Prim]:
-    found: dict[str, Usd.Prim] = {}
-    for tendon in tendon_prims(stage):
-        for path in stage.ledger.targets(tendon, "mjc:path"):
-            prim = stage.usd.GetPrimAtPath(path)
-            if prim and not is_site(prim):
-                found[str(path)] = prim
-    return list(found.values())
-
-
 KEYFRAME = "MjcKeyframe"
 KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "ctrl", "mpos", "mquat")}
 
@@ -377,19 +370,7 @@ def read_keyframes(stage: Stage, robot: RobotDescription) -> tuple[Keyframe, ...
 
 def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) -> Keyframe | None:
     extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
-    for key, count in keyframe_sizes(robot).items():
-        value = extra.get(key)
-        if isinstance(value, tuple) and len(value) != count:
-            reason = f"its {key} has {len(value)} numbers, the model {count}"
-            stage.ledger.leave(prim.GetPath(), KEYFRAME, reason)
-            stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
-            return None
-    stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
-    return Keyframe(name, str(prim.GetPath()), extra)
-
-
-def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
-    """Return the required length of each array of a keyframe."""
+    # The required length of each array of a keyframe.
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls
@@ -400,11 +381,19 @@ def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
         stateful = actuator.extra.get("dyntype", "none") != "none"
         states += own if isinstance(own, int) and own >= 0 else int(stateful)
     controls = len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs)
-    return {
+    for key, count in {
         "qpos": 7 * free + 4 * balls + single,
         "qvel": 6 * free + 3 * balls + single,
         "ctrl": controls,
         "act": states,
         "mpos": 3 * mocap,
         "mquat": 4 * mocap,
-    }
+    }.items():
+        value = extra.get(key)
+        if isinstance(value, tuple) and len(value) != count:
+            reason = f"its {key} has {len(value)} numbers, the model {count}"
+            stage.ledger.leave(prim.GetPath(), KEYFRAME, reason)
+            stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
+            return None
+    stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
+    return Keyframe(name, str(prim.GetPath()), extra)

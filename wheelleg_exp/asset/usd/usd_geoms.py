@@ -58,17 +58,15 @@ class Geoms:
                 return look
         return None, None
 
-    def _name(self, owner: str, short: str, collides: bool) -> str:
-        """Return a geom's name: the body's, the shape's, and ``visual``; numbered if repeated."""
-        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
-        name += "" if collides else "_visual"
-        return self._taken.take(name)
-
     def _geom(self, piece: Piece, owner: str, names: dict[str, str]) -> Geom:
         shape, path = piece.shape, piece.path
         material, rgba = self._surfaces.get(piece.path, (None, None))
         kind = "collider" if piece.collides else "visual"
-        name = self._name(owner, names[piece.path], piece.collides)
+        # A geom's name: the body's, the shape's, and ``visual``; numbered if repeated.
+        short = names[piece.path]
+        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
+        name += "" if piece.collides else "_visual"
+        name = self._taken.take(name)
         self.stage.ledger.mapped(path, str(piece.prim.GetTypeName()), f"{kind} geom {name} ({shape.kind})")
         return Geom(
             name=name,
@@ -91,12 +89,9 @@ class Geoms:
         faces = shape.faces if shape.faces is not None and len(shape.faces) else np.zeros((0, 3), dtype=np.int64)
         key = hashlib.sha256(vertices.tobytes() + faces.astype(np.int64).tobytes() + bytes([solid])).hexdigest()
         if key not in self.meshes:
-            self.meshes[key] = Mesh(self._mesh_name(name), vertices, faces, solid)
+            stem = file_stem(name)
+            self.meshes[key] = Mesh(stem + self._files.take(stem.lower())[len(stem) :], vertices, faces, solid)
         return self.meshes[key].name
-
-    def _mesh_name(self, name: str) -> str:
-        stem = file_stem(name)
-        return stem + self._files.take(stem.lower())[len(stem) :]
 
 
 def _faces(subset: UsdGeom.Subset) -> int:
@@ -320,15 +315,12 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
         if all(value is None or value for value in values):
             continue
-        for link in _meant(graph, str(prim.GetPath())):
+        # The bodies that a switch on a prim applies to: those at or below it, or those that a joint joins.
+        path = str(prim.GetPath())
+        joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
+        for link in joined or graph.links.below(Sdf.Path(path)):
             parts[frozenset(other.path for other in graph.component(link))] = None
     return list(parts)
-
-
-def _meant(graph: Graph, path: str) -> list[Link]:
-    """Return the bodies that a switch on a prim applies to: those at or below it, or those that a joint joins."""
-    joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
-    return joined or graph.links.below(Sdf.Path(path))
 
 
 def all_quiet(parts: list[frozenset[str]], solid: set[str]) -> bool:

@@ -113,26 +113,24 @@ def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
     """Return the layers and prims that USD composition could not find, without duplicates."""
     found: dict[str, Missing] = {}
     for error in usd.GetCompositionErrors():
-        item = _missing(str(error), f"{source.resolve().parent}/")
+        line = " ".join(str(error).split())
+        holder = re.search(r"(?:introduced by @[^@]*@|Cycle detected: @[^<]*)<([^>]*)>", line)
+        prim = Sdf.Path(holder.group(1)) if holder else Sdf.Path.absoluteRootPath
+        file = re.search(r"(?:open asset|load sublayer) @([^@]+)@", line)
+        if file:
+            item = Missing(file.group(1).removeprefix(f"{source.resolve().parent}/"), (prim,), line, is_file=True)
+        else:
+            target = re.search(r"Unresolved \w+ prim path @[^@]*@<([^>]*)>", line)
+            if target:
+                item = Missing(target.group(1), (prim,), line, is_file=False)
+            elif "ycle" in line:
+                item = Missing(f"a cycle of layers or references at {prim}", (prim,), line, is_file=False)
+            else:
+                item = Missing(line[:200], (prim,), line, is_file=False)
         known = found.setdefault(item.name, item)
         if item.prim not in known.prims:
             found[item.name] = replace(known, prims=(*known.prims, item.prim))
     return list(found.values())
-
-
-def _missing(text: str, folder: str) -> Missing:
-    line = " ".join(text.split())
-    holder = re.search(r"(?:introduced by @[^@]*@|Cycle detected: @[^<]*)<([^>]*)>", line)
-    prim = Sdf.Path(holder.group(1)) if holder else Sdf.Path.absoluteRootPath
-    file = re.search(r"(?:open asset|load sublayer) @([^@]+)@", line)
-    if file:
-        return Missing(file.group(1).removeprefix(folder), (prim,), line, is_file=True)
-    target = re.search(r"Unresolved \w+ prim path @[^@]*@<([^>]*)>", line)
-    if target:
-        return Missing(target.group(1), (prim,), line, is_file=False)
-    if "ycle" in line:
-        return Missing(f"a cycle of layers or references at {prim}", (prim,), line, is_file=False)
-    return Missing(line[:200], (prim,), line, is_file=False)
 
 
 def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Missing], source: Path) -> None:

@@ -24,7 +24,6 @@ from wheelleg_exp.asset.robot_description import (
     Dof,
     Drive,
     Geom,
-    Inertial,
     Pose,
     RobotDescription,
     Site,
@@ -69,19 +68,15 @@ def _is_single(prim: Usd.Prim) -> bool:
 
 def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
     by_joint = body.parent is not None
+    # Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other.
+    w, x, y, z = _shortest(body.inertial.axes, 1.0)
     return replace(
         body,
         pose=_short_pose(body.pose) if by_joint or coarse else body.pose,
-        inertial=_short_inertial(body.inertial),
+        inertial=replace(body.inertial, center_of_mass=_short_vector(body.inertial.center_of_mass), axes=(w, x, y, z)),
         dofs=tuple(_short_dof(stage, dof) for dof in body.dofs),
         geoms=tuple(_short_geom(geom) for geom in body.geoms) if coarse else body.geoms,
     )
-
-
-def _short_inertial(inertial: Inertial) -> Inertial:
-    """Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other."""
-    w, x, y, z = _shortest(inertial.axes, 1.0)
-    return replace(inertial, center_of_mass=_short_vector(inertial.center_of_mass), axes=(w, x, y, z))
 
 
 def _short_dof(stage: Stage, dof: Dof) -> Dof:

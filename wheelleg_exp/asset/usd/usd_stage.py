@@ -196,7 +196,20 @@ def schemas(prim: Usd.Prim) -> list[str]:
 
 def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     """Open the USD file ``source`` with all payloads loaded."""
-    _require_file(source)
+    expected = "a USD file (" + ", ".join(SUFFIXES) + ")"
+    require_plain_file(source, expected)
+    try:
+        if source.suffix.lower() not in SUFFIXES:
+            raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
+        with source.open("rb") as file:
+            start = file.read(len(POINTER))
+        if not start:
+            raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
+        if start == POINTER:
+            raise AssetError(f"'{source.name}' is {FETCH}", where=str(source), expected=expected)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
@@ -205,7 +218,9 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
         for layer in usd.GetUsedLayers():
             if not layer.ListAllTimeSamples():
                 continue
-            for path in _attributes(layer):
+            paths: list[Sdf.Path] = []
+            layer.Traverse("/", paths.append)
+            for path in filter(Sdf.Path.IsPropertyPath, paths):
                 spec = layer.GetAttributeAtPath(path)
                 times = layer.ListTimeSamplesForPath(path) if spec and not spec.HasDefaultValue() else []
                 value = layer.QueryTimeSample(path, times[0]) if times else None
@@ -237,23 +252,6 @@ def library(source: Path) -> Iterator[None]:
         delegate.TakeUncoalescedDiagnostics()
 
 
-def _require_file(source: Path) -> None:
-    expected = "a USD file (" + ", ".join(SUFFIXES) + ")"
-    require_plain_file(source, expected)
-    try:
-        if source.suffix.lower() not in SUFFIXES:
-            raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
-        with source.open("rb") as file:
-            start = file.read(len(POINTER))
-        if not start:
-            raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
-        if start == POINTER:
-            raise AssetError(f"'{source.name}' is {FETCH}", where=str(source), expected=expected)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
-
-
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
     """Return the USD library's first error message, for a text layer with the line number and the text of the line."""
     text = _complaint(error)
@@ -274,12 +272,6 @@ def _complaint(error: Tf.ErrorException) -> str:
     first = str(error).strip().split("Error in ")[1:2] or [str(error)]
     text = " ".join(first[0].split(" : ", 1)[-1].split()).strip("' ")
     return text if len(text) <= 300 else text[:300] + "..."
-
-
-def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
-    found: list[Sdf.Path] = []
-    layer.Traverse("/", lambda path: found.append(path) if path.IsPropertyPath() else None)
-    return found
 
 
 def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
@@ -304,20 +296,6 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
     for text in unselected(root):
         stage.ledger.warn(text)
-    _note_metadata(stage)
-    return stage
-
-
-def _units(usd: Usd.Stage, source: Path) -> Units:
-    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
-    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
-        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
-            expected = "a positive number, such as 1 or 0.01"
-            raise AssetError(f"the stage's {name} is {value:g}", where=str(source), expected=expected)
-    return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
-
-
-def _note_metadata(stage: Stage) -> None:
     top, ledger, name = stage.usd.GetPseudoRoot(), stage.ledger, stage.source.name
     for key, value in (("metersPerUnit", 0.01), ("upAxis", "Y")):
         if not top.HasAuthoredMetadata(key):
@@ -332,6 +310,16 @@ def _note_metadata(stage: Stage) -> None:
     for layer in stage.layers:
         if layer.startswith("../") or Path(layer).is_absolute():
             ledger.assume(name, f"a layer outside the file's folder is read: {layer}", "as the file asks")
+    return stage
+
+
+def _units(usd: Usd.Stage, source: Path) -> Units:
+    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
+    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
+        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
+            expected = "a positive number, such as 1 or 0.01"
+            raise AssetError(f"the stage's {name} is {value:g}", where=str(source), expected=expected)
+    return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 
 def _real_path(layer: Sdf.Layer) -> Path | None:

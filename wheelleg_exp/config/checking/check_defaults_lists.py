@@ -203,19 +203,16 @@ def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list
         place, key = (file.package, file.config_path), f"{file.package}.{file.name}"
         again = _is_term_list(file.package) and place in seen
         if again and not any(_sets_null(other, key) for other in files[seen[place] : index]):
-            where = _last_choice(composed, file)
+            mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
+            choices = [choice for mount in mounts for choice in mount.choices]
+            where = mount_place(composed, file)
+            for choice in reversed(choices):
+                if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value]):
+                    where = choice.where
+                    break
             errors.append(ConfigError("the term is listed twice", key=key, where=where, expected="each term once"))
         seen[place] = index
     return errors
-
-
-def _last_choice(composed: Composed, file: MountedFile) -> str:
-    mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
-    choices = [choice for mount in mounts for choice in mount.choices]
-    for choice in reversed(choices):
-        if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value]):
-            return choice.where
-    return mount_place(composed, file)
 
 
 def _sets_null(file: MountedFile, key: str) -> bool:

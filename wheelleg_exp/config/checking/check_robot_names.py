@@ -253,14 +253,9 @@ def _names(
         if section == "actions" and kind == "joint":
             errors += _by_joint("actions", path, node, found)
         if "preserve_order" in accepted and not node.get("preserve_order", False) and found:
-            errors += _order(expressions, found, key, kind)
+            written = match_names(expressions, found, key=key, what=kind, preserve_order=True)[1]
+            if written != found:
+                message = f"the order of this list is ignored: the term sees {', '.join(found)}"
+                expected = f"preserve_order: true for {', '.join(written)}, or the robot's order in the list"
+                errors += [ConfigError(message, key=key, expected=expected)]
     return errors
-
-
-def _order(expressions: Any, found: list[str], key: str, what: str) -> list[ConfigError]:
-    written = match_names(expressions, found, key=key, what=what, preserve_order=True)[1]
-    if written == found:
-        return []
-    message = f"the order of this list is ignored: the term sees {', '.join(found)}"
-    expected = f"preserve_order: true for {', '.join(written)}, or the robot's order in the list"
-    return [ConfigError(message, key=key, expected=expected)]

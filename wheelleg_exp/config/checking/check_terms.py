@@ -54,15 +54,13 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
             if isinstance(error, NotSelected):
-                error.nearest = _nearest_selected(config, path)
+                parent, _, name = path.rpartition(".")
+                terms = section_at(config, parent).items()
+                error.nearest = nearest_name(
+                    name, [str(term) for term, node in terms if isinstance(node, Mapping) and TARGET in node]
+                )
             errors.append(error)
     return errors
-
-
-def _nearest_selected(config: Mapping[str, Any], path: str) -> str | None:
-    parent, _, name = path.rpartition(".")
-    terms = section_at(config, parent).items()
-    return nearest_name(name, [str(term) for term, node in terms if isinstance(node, Mapping) and TARGET in node])
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:

@@ -321,7 +321,19 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     try:
         cfg = loader._compose_config_from_defaults_list(defaults.defaults, loader.repository_used)
     except COMPOSING_ERRORS as problem:
-        return _merge_problem(problem, loader.repository_used)
+        text = str(problem)
+        match = _IN_FILE.match(text)
+        loaded = loader.repository_used.loaded.get(match.group(1)) if match else None
+        body = text.split("composing config:", 1)[-1]
+        key = re.search(r"full_key: (\S+)", text)
+        line = scalar_line(loaded.file, key.group(1).rsplit(".", 1)[-1]) if loaded and key else None
+        merge_error = DoesNotMerge(
+            f"does not merge: {flat(ValueError(body))}",
+            key=key.group(1) if key else None,
+            where=show_file(loaded.file, line) if loaded else None,
+        )
+        merge_error.config_path = match.group(1) if match else None
+        return merge_error
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
@@ -332,22 +344,6 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
         except COMPOSING_ERRORS as problem:
             problems.append(_override_problem(problem, override, before, loader.groups()))
     return join(problems) if problems else ConfigError(flat(error), key=primary)
-
-
-def _merge_problem(problem: Exception, repository: Repository) -> ConfigError:
-    text = str(problem)
-    match = _IN_FILE.match(text)
-    loaded = repository.loaded.get(match.group(1)) if match else None
-    body = text.split("composing config:", 1)[-1]
-    key = re.search(r"full_key: (\S+)", text)
-    line = scalar_line(loaded.file, key.group(1).rsplit(".", 1)[-1]) if loaded and key else None
-    error = DoesNotMerge(
-        f"does not merge: {flat(ValueError(body))}",
-        key=key.group(1) if key else None,
-        where=show_file(loaded.file, line) if loaded else None,
-    )
-    error.config_path = match.group(1) if match else None
-    return error
 
 
 def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:

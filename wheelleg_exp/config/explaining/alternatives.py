@@ -148,7 +148,12 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
     even the primary config composes.
     """
-    file = cache_dir() / "completion" / f"{_digest(before, config_dirs, primary)}.json"
+    folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
+    files = [
+        (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
+    ]
+    parts = [wheelleg_exp.__version__, list(before), [str(f) for f in folders], primary, files]
+    file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
     made = _make(before, config_dirs, primary)
@@ -163,15 +168,6 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
             for old in stored[:-_MOST_VIEWS]:
                 old.unlink(missing_ok=True)
     return made
-
-
-def _digest(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> str:
-    folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
-    files = [
-        (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
-    ]
-    parts = [wheelleg_exp.__version__, list(before), [str(f) for f in folders], primary, files]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 
 def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
@@ -200,7 +196,15 @@ def complete_override(
         name, _, value = text.partition("=")
         options = seen.groups.get(name.partition("@")[0])
         if options is not None:
-            found = _selections(options, value, several=seen.mounts.get(name, False))
+            if not value.startswith("["):
+                found = [option for option in options if option.startswith(value)]
+                found = [*found, "["] if seen.mounts.get(name, False) and not value else found
+            else:
+                head, _, last = value.replace("[", "[,", 1).rpartition(",")
+                head = head.replace("[,", "[", 1)
+                used = head.lstrip("[").split(",")
+                lead = "[" if head == "[" else f"{head},"
+                found = [f"{lead}{option}" for option in options if option.startswith(last) and option not in used]
         else:
             found = [leaf for leaf in _leaf_values(seen.tree, split_path(name)) if leaf.startswith(value)]
         return [f"{sign}{name}={text}" for text in found]
@@ -233,17 +237,6 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
         endings = (["", "."] if open_ended else [""]) if removable else (["."] if open_ended else ["="])
         found += [path + ending for ending in endings]
     return [path for path in found if path.startswith(text)]
-
-
-def _selections(options: Sequence[str], value: str, *, several: bool) -> list[str]:
-    if not value.startswith("["):
-        found = [option for option in options if option.startswith(value)]
-        return [*found, "["] if several and not value else found
-    head, _, last = value.replace("[", "[,", 1).rpartition(",")
-    head = head.replace("[,", "[", 1)
-    used = head.lstrip("[").split(",")
-    lead = "[" if head == "[" else f"{head},"
-    return [f"{lead}{option}" for option in options if option.startswith(last) and option not in used]
 
 
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:

@@ -164,23 +164,20 @@ def _require_group(group: str, names: Sequence[str]) -> None:
 
 
 def _entry(loader: Loader, group: str, name: str) -> Entry:
-    file = _file(loader, f"{group}/{name}")
+    config_path = f"{group}/{name}"
+    sources = [source for source in loader.get_sources() if source.scheme() == "file"]
+    found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
+    try:
+        file = chosen_file(config_path, found)
+    except ConfigError:  # The error is raised when the file is composed.
+        file = found[0]
+    except IndexError:
+        file = Path(f"{config_path}.yaml")
     try:
         text = file_text(file)
     except (OSError, UnicodeDecodeError):  # The error is raised when the file is composed.
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
-
-
-def _file(loader: Loader, config_path: str) -> Path:
-    sources = [source for source in loader.get_sources() if source.scheme() == "file"]
-    found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
-    try:
-        return chosen_file(config_path, found)
-    except ConfigError:  # The error is raised when the file is composed.
-        return found[0]
-    except IndexError:
-        return Path(f"{config_path}.yaml")
 
 
 def _target(text: str, name: str) -> str | None:

@@ -165,7 +165,16 @@ def explain_key(composed: Composed, key: str) -> Explanation:
         or _not_set(tree, keys)
     )
     if not explained:
-        raise _unknown(tree, key, found)
+        depth = next((n for n in range(len(keys), 0, -1) if _is_there(tree, keys[:n])), 0)
+        settable = list(key_slots.slots(tree, keys[:depth]))
+        node = at(tree, keys[:depth])
+        shown = ", ".join(dict.fromkeys([*map(str, node if isinstance(node, Mapping) else ()), *settable]))
+        place = f" in {dotted(keys[:depth])}" if depth else ""
+        names = [*map(dotted, node_paths(tree)), *(dotted((*keys[:depth], name)) for name in settable)]
+        expected = f"one of {shown}{place}" if shown else "a key or a group"
+        nearest = nearest_path(key, [*names, *(mount.name for mount in found)])
+        message = "there is no such key, and nothing reads one of that name"
+        raise ConfigError(message, key=key, expected=expected, nearest=nearest)
     return explained
 
 
@@ -276,17 +285,3 @@ def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
         if source is not None:
             return (*source.shadowed, source)
     return ()
-
-
-def _unknown(tree: dict[str, Any], key: str, found: Sequence[Mount]) -> ConfigError:
-    keys = split_path(key)
-    depth = next((n for n in range(len(keys), 0, -1) if _is_there(tree, keys[:n])), 0)
-    settable = list(key_slots.slots(tree, keys[:depth]))
-    node = at(tree, keys[:depth])
-    shown = ", ".join(dict.fromkeys([*map(str, node if isinstance(node, Mapping) else ()), *settable]))
-    place = f" in {dotted(keys[:depth])}" if depth else ""
-    names = [*map(dotted, node_paths(tree)), *(dotted((*keys[:depth], name)) for name in settable)]
-    expected = f"one of {shown}{place}" if shown else "a key or a group"
-    nearest = nearest_path(key, [*names, *(mount.name for mount in found)])
-    message = "there is no such key, and nothing reads one of that name"
-    return ConfigError(message, key=key, expected=expected, nearest=nearest)
