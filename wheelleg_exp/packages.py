@@ -94,12 +94,8 @@ class Project:
         for folder in (self.root / name for name in _SOURCES):
             if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
                 return folder
-        raise ConfigError(
-            f"the project has no package '{top}'",
-            key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
-            where=str(self.root / FILE),
-            expected=f"a folder {self.root / top}",
-        )
+        message, key = f"the project has no package '{top}'", f'project.entry-points."{ENTRY_POINT_GROUP}"'
+        raise ConfigError(message, key=key, where=str(self.root / FILE), expected=f"a folder {self.root / top}")
 
 
 def read_project(folder: Path) -> Project | None:
@@ -134,12 +130,8 @@ def _package(value: Any, file: Path) -> str:
     parts = name.split(".")
     taken = parts[0] in sys.stdlib_module_names or parts[0] == "wheelleg_exp"
     if taken or not all(part.isidentifier() for part in parts):
-        raise ConfigError(
-            f"the project declares {value!r}",
-            key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
-            where=str(file),
-            expected="the name of a package of this project",
-        )
+        message, key = f"the project declares {value!r}", f'project.entry-points."{ENTRY_POINT_GROUP}"'
+        raise ConfigError(message, key=key, where=str(file), expected="the name of a package of this project")
     return name
 
 
@@ -163,11 +155,9 @@ def _require_own(project: Project) -> None:
     """
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
-        raise ConfigError(
-            "this folder is in a project of another user, whose code and configs are used only on request",
-            key=str(project.root),
-            expected=f"--config-dir {project.configs} to trust it, or another folder",
-        )
+        message = "this folder is in a project of another user, whose code and configs are used only on request"
+        key = str(project.root)
+        raise ConfigError(message, key=key, expected=f"--config-dir {project.configs} to trust it, or another folder")
 
 
 def with_current(folders: Sequence[Path]) -> list[Path]:

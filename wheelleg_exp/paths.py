@@ -60,12 +60,8 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
     searched = ", ".join(str(c) for c in candidates)
     siblings = [other.name for path in candidates if path.parent.is_dir() for other in path.parent.iterdir()]
     found = nearest_name(Path(name).name, [other for other in siblings if Path(other).suffix == Path(name).suffix])
-    raise AssetError(
-        f"there is no file '{name}'",
-        key=key,
-        expected=f"a {what} at one of: {searched}",
-        nearest=str(Path(name).with_name(found)) if found else None,
-    )
+    nearest = str(Path(name).with_name(found)) if found else None
+    raise AssetError(f"there is no file '{name}'", key=key, expected=f"a {what} at one of: {searched}", nearest=nearest)
 
 
 def show_file(file: Path, line: int | None = None) -> str:

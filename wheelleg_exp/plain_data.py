@@ -185,8 +185,5 @@ def require_plain(value: Any, path: str = "") -> None:
         for index, item in enumerate(value):
             require_plain(item, f"{path}[{index}]")
     elif type(value) not in _SCALARS:
-        raise RunDirectoryError(
-            f"a {type(value).__name__} cannot be saved as plain YAML",
-            key=path or None,
-            expected="a mapping, list, text, number, boolean or null",
-        )
+        message = f"a {type(value).__name__} cannot be saved as plain YAML"
+        raise RunDirectoryError(message, key=path or None, expected="a mapping, list, text, number, boolean or null")

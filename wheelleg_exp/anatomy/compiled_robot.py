@@ -44,25 +44,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint at the default pose, in rad and rad/s; ``low`` and ``high`` are infinite if the joint has no limits.
-
-    Attributes:
-        armature: reflected rotor inertia, kg·m².
-        inertia: of the joint's load about its axis, kg·m², without armature.
-        effective: inertia that a torque accelerates while all other joints are free, with armature.
-        hold: torque that carries the weight at rest, N·m.
-        drive: its actuator, or None.
-    """
+    """A joint at the default pose, in rad and rad/s; ``low`` and ``high`` are infinite if the joint has no limits."""
 
     default: float
     default_velocity: float
     low: float
     high: float
-    armature: float
-    inertia: float
-    effective: float
-    hold: float
-    drive: Drive | None
+    armature: float  # reflected rotor inertia, kg·m²
+    inertia: float  # of the joint's load about its axis, kg·m², without armature
+    effective: float  # inertia that a torque accelerates while all other joints are free, with armature
+    hold: float  # torque that carries the weight at rest, N·m
+    drive: Drive | None  # its actuator, or None
 
     @property
     def limited(self) -> bool:
@@ -88,27 +80,19 @@ class Balance:
 
 @dataclass(frozen=True)
 class RobotFacts:
-    """Facts of the whole robot: ``mass``, kg, ``gravity``, m/s², and the joints by name, in the robot's order.
-
-    Attributes:
-        wheels: names of the wheels' joints; ``wheel_radius`` is 0 without wheels, m.
-        track: distance between the outermost wheels, m.
-        standing_height: of the root over the ground when the lowest point of the default pose touches the ground, m.
-        clearance: of the lowest point over the ground at the start of episodes, m; negative inside the ground.
-        friction: effective coefficient between wheels and ground.
-        balance: None if the robot does not balance on one axle.
-    """
+    """Facts of the whole robot: ``mass``, kg, ``gravity``, m/s², and the joints by name, in the robot's order."""
 
     mass: float
     gravity: float
     joints: dict[str, Joint]
-    wheels: tuple[str, ...]
+    wheels: tuple[str, ...]  # names of the wheels' joints; ``wheel_radius`` is 0 without wheels, m
     wheel_radius: float
-    track: float
+    track: float  # distance between the outermost wheels, m
+    # of the root over the ground when the lowest point of the default pose touches the ground, m
     standing_height: float
-    clearance: float
-    friction: float
-    balance: Balance | None
+    clearance: float  # of the lowest point over the ground at the start of episodes, m; negative inside the ground
+    friction: float  # effective coefficient between wheels and ground
+    balance: Balance | None  # None if the robot does not balance on one axle
 
     @property
     def weight(self) -> float:

@@ -33,25 +33,17 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 @dataclass(frozen=True)
 class Stance:
-    """A standing pose of a robot.
+    """A standing pose of a robot."""
 
-    Attributes:
-        positions: positions of the legs' joints by name, rad (m).
-        height: height of the hips over the wheels' centres, m; ``tallest`` is the largest height that was found.
-        offset: distance of the centre of mass in front of the middle of the wheels' contacts, m; negative behind.
-        lean: pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot
-            on several axles.
-        balanced: whether ``offset`` is almost zero.
-        grounded: whether every wheel of the problem touches level ground.
-    """
-
-    positions: dict[str, float]
-    height: float
-    offset: float
+    positions: dict[str, float]  # positions of the legs' joints by name, rad (m)
+    height: float  # height of the hips over the wheels' centres, m; ``tallest`` is the largest height that was found
+    offset: float  # distance of the centre of mass in front of the middle of the wheels' contacts, m; negative behind
+    # pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot on
+    # several axles.
     lean: float
     tallest: float
-    balanced: bool
-    grounded: bool
+    balanced: bool  # whether ``offset`` is almost zero
+    grounded: bool  # whether every wheel of the problem touches level ground
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:

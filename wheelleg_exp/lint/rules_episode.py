@@ -304,11 +304,8 @@ def episode_end(case: Case) -> Iterator[Finding]:
     """
     terms = list(case.terms("terminations"))
     if not any(term.node.get("time_out", False) for term in terms):
-        yield Finding(
-            "env.terminations",
-            "no termination is a time-out: the end of an episode would count as a failure, or never come",
-            "the termination time_out, with time_out: true",
-        )
+        message = "no termination is a time-out: the end of an episode would count as a failure, or never come"
+        yield Finding("env.terminations", message, "the termination time_out, with time_out: true")
     for term in terms:
         if term.kind in _LOWEST:
             limit, start = float(term.node["minimum_height"]), case.facts.standing_height

@@ -248,11 +248,8 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
 def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Finding]:
     if not corrupt:
         group = term.path.split(".terms.")[0]
-        yield Finding(
-            f"{term.path}.noise",
-            "the noise has no effect, because its group has enable_corruption: false",
-            f"{group}.enable_corruption=true, or no noise",
-        )
+        message = "the noise has no effect, because its group has enable_corruption: false"
+        yield Finding(f"{term.path}.noise", message, f"{group}.enable_corruption=true, or no noise")
         return
     sizes = _noise_sizes(term.node["noise"], term.path)
     size, noise = signal_size(case, term), max(map(abs, sizes.values()), default=0.0)

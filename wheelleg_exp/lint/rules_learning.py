@@ -268,13 +268,9 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
             hint = "another weight of the reward or of the curriculum, or no curriculum"
             yield Finding(f"{term.path}.weight", message, hint, {"before": before, "after": weight})
         if start >= total:
-            yield Finding(
-                f"{term.path}.num_steps",
-                f"training takes {total} control steps, and the weight changes after {start}",
-                f"num_steps below {total}, or more iterations",
-                {"num_steps": start, "total_steps": total},
-                ({f"{term.path}.num_steps": total - 1},),
-            )
+            message = f"training takes {total} control steps, and the weight changes after {start}"
+            hint, figures = f"num_steps below {total}, or more iterations", {"num_steps": start, "total_steps": total}
+            yield Finding(f"{term.path}.num_steps", message, hint, figures, ({f"{term.path}.num_steps": total - 1},))
 
 
 @rule

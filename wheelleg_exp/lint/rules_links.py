@@ -55,11 +55,8 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     bodies = {robot.model.body(name).id for name in robot.bodies}
     solid = (robot.model.geom_contype != 0) | (robot.model.geom_conaffinity != 0)
     if not any(int(body) in bodies for body in robot.model.geom_bodyid[solid]):
-        yield Finding(
-            _ASSET,
-            "no shape of the robot collides: it falls through the ground",
-            "colliders: a cylinder on each wheel and a box on the body are enough to start with",
-        )
+        hint = "colliders: a cylinder on each wheel and a box on the body are enough to start with"
+        yield Finding(_ASSET, "no shape of the robot collides: it falls through the ground", hint)
 
 
 @rule
@@ -202,12 +199,8 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         hint = 'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)'
         yield Finding(_ASSET, message, hint, {"joints": float(len(free))})
     if locked:
-        yield Finding(
-            _ASSET,
-            f"the limits of {listed(locked)} allow no motion",
-            "the limits of the real joint, or a fixed joint; exporters write 0 to 0 if CAD has no limits",
-            {"joints": float(len(locked))},
-        )
+        hint = "the limits of the real joint, or a fixed joint; exporters write 0 to 0 if CAD has no limits"
+        yield Finding(_ASSET, f"the limits of {listed(locked)} allow no motion", hint, {"joints": float(len(locked))})
 
 
 @rule

@@ -49,13 +49,10 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         )
     for pair in pairs:
         if pair.neighbours and pair.depth > _DEEP * size:
-            yield Finding(
-                _ASSET,
-                f"'{pair.bodies[1]}' is {1e3 * pair.depth:.3g} mm deep inside its parent '{pair.bodies[0]}': "
-                f"more than a quarter of the robot's size of {size:.3g} m",
-                "check the origin of the joint between them, and the units and origins of their colliders",
-                {"depth_m": pair.depth, "size_m": size},
-            )
+            message = f"'{pair.bodies[1]}' is {1e3 * pair.depth:.3g} mm deep inside its parent '{pair.bodies[0]}': "
+            message += f"more than a quarter of the robot's size of {size:.3g} m"
+            hint = "check the origin of the joint between them, and the units and origins of their colliders"
+            yield Finding(_ASSET, message, hint, {"depth_m": pair.depth, "size_m": size})
 
 
 @rule
@@ -296,11 +293,8 @@ def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
     alone = [name for name in robot.drawn.unmatched if name in legs]
     if alone and len(robot.drawn.wheels) % 2 == 0:
-        yield Finding(
-            _ASSET,
-            ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side",
-            "check the origins of these joints in the file",
-        )
+        message = ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side"
+        yield Finding(_ASSET, message, "check the origins of these joints in the file")
 
 
 def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:

@@ -22,19 +22,14 @@ _FINITE = "a finite number"
 
 @dataclass(frozen=True)
 class Misfit:
-    """A mistake in a value of the config.
-
-    Attributes:
-        keys: the path from the value to the mistake; a mistake in a list's element belongs to the list.
-        nearest: the nearest valid word.
-        is_type: whether the value has the wrong type; False if the value is out of range.
-    """
+    """A mistake in a value of the config."""
 
     message: str
     expected: str
+    # the path from the value to the mistake; a mistake in a list's element belongs to the list
     keys: tuple[str, ...] = ()
-    nearest: str | None = None
-    is_type: bool = False
+    nearest: str | None = None  # the nearest valid word
+    is_type: bool = False  # whether the value has the wrong type; False if the value is out of range
 
 
 def fits(value: Any, annotation: Any) -> bool:

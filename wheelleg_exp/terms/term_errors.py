@@ -92,11 +92,9 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
     accepted = signature_parameters(target)
     for name in accepted:
         if name in RESERVED[section]:
-            yield ConfigError(
-                f"'{term.target}' has a parameter '{name}', but this name is a field of the manager",
-                key=term.path,
-                expected="a target without parameters named " + ", ".join(RESERVED[section]),
-            )
+            message = f"'{term.target}' has a parameter '{name}', but this name is a field of the manager"
+            expected = "a target without parameters named " + ", ".join(RESERVED[section])
+            yield ConfigError(message, key=term.path, expected=expected)
             return
     known = [*accepted, *RESERVED[section]]
     meant: set[str] = set()  # a parameter with a misspelled key is not also reported as missing
@@ -113,11 +111,8 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
     given = {*term.params, *meant}
     missing = [n for n, p in accepted.items() if p.default is inspect.Parameter.empty and n not in given]
     if missing:
-        yield ConfigError(
-            f"'{term.target}' needs " + ", ".join(f"'{n}'" for n in missing),
-            key=term.path,
-            expected="a value for each parameter without a default",
-        )
+        message = f"'{term.target}' needs " + ", ".join(f"'{n}'" for n in missing)
+        yield ConfigError(message, key=term.path, expected="a value for each parameter without a default")
 
 
 def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:

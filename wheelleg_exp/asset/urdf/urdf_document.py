@@ -172,11 +172,8 @@ def open_document(source: Path) -> Document:
     except OSError as error:
         raise AssetError(f"'{source}' cannot be read: {error.strerror}", expected="a URDF file") from None
     if root.tag != "robot":
-        raise AssetError(
-            f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>",
-            where=f"{source}:{root.line}",
-            expected="<robot>",
-        )
+        message = f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>"
+        raise AssetError(message, where=f"{source}:{root.line}", expected="<robot>")
     # Set the path of each element: by ``name`` if unique among its siblings, else by position.
     root.path = f"/{root.tag}"
     for element in root.walk():

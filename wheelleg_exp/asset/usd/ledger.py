@@ -106,12 +106,8 @@ def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
         if wrong.startswith("is infinite") or "NaN" in wrong:
             expected = "finite numbers" if kind is None or kind.what in ("vector", "array") else "a finite number"
         stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
-        raise AssetError(
-            f"'{attribute.GetName()}' {wrong}",
-            key=str(attribute.GetPrim().GetPath()),
-            where=stack[0].layer.GetDisplayName() if stack else None,
-            expected=expected,
-        )
+        message, key = f"'{attribute.GetName()}' {wrong}", str(attribute.GetPrim().GetPath())
+        raise AssetError(message, key=key, where=stack[0].layer.GetDisplayName() if stack else None, expected=expected)
     return bool(value) if kind and kind.what == "flag" else value
 
 

@@ -142,12 +142,9 @@ def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Mis
     for item, holder, lost in _losses(usd, list(prims), arcs):
         also = f", and so is the layer '{files[0]}'" if files and not item.is_file else ""
         missing_is = f"the layer '{item.name}' is missing" if item.is_file else f"'{item.name}' is missing{also}"
-        raise AssetError(
-            f"{missing_is}, and {lost}",
-            key=str(holder) if not holder.IsAbsoluteRootPath() else None,
-            where=str(source),
-            expected="that layer at the named path",
-        )
+        message = f"{missing_is}, and {lost}"
+        key = str(holder) if not holder.IsAbsoluteRootPath() else None
+        raise AssetError(message, key=key, where=str(source), expected="that layer at the named path")
 
 
 def _losses(

@@ -100,20 +100,14 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
         holders = [prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames()]
         if not holders:
             known = list(variant_sets(root))
-            raise AssetError(
-                f"there is no variant set '{name}'",
-                key=f"--variant {name}={wanted}",
-                expected="one of " + ", ".join(known) if known else "no variants: the file has none",
-                nearest=nearest_name(name, known),
-            )
+            message, key = f"there is no variant set '{name}'", f"--variant {name}={wanted}"
+            expected = "one of " + ", ".join(known) if known else "no variants: the file has none"
+            raise AssetError(message, key=key, expected=expected, nearest=nearest_name(name, known))
         options = holders[0].GetVariantSet(name).GetVariantNames()
         if wanted not in options:
-            raise AssetError(
-                f"variant set '{name}' has no variant '{wanted}'",
-                key=f"--variant {name}={wanted}",
-                expected="one of " + ", ".join(options),
-                nearest=nearest_name(wanted, options),
-            )
+            message, key = f"variant set '{name}' has no variant '{wanted}'", f"--variant {name}={wanted}"
+            expected = "one of " + ", ".join(options)
+            raise AssetError(message, key=key, expected=expected, nearest=nearest_name(wanted, options))
         holders[0].GetVariantSet(name).SetVariantSelection(wanted)
         chosen[name] = wanted
     sets = root.GetVariantSets()
@@ -260,10 +254,9 @@ def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
         expected = "a whole USD layer, text or crate"
         return AssetError(f"'{source.name}' cannot be read: {text}", where=str(source), expected=expected)
     path, line, _, expected, found = place.groups()
+    message, where = f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}", f"{path}:{line}"
     return AssetError(
-        f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}",
-        where=f"{path}:{line}",
-        expected=expected.removeprefix("Expected ").strip() if expected else "a valid USD layer",
+        message, where=where, expected=expected.removeprefix("Expected ").strip() if expected else "a valid USD layer"
     )
 
 

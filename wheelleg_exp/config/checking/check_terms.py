@@ -114,14 +114,10 @@ def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
     home = next(key for key, value in MODULES.items() if value == section)
     names = [n for n in vars(import_module(f"{LIBRARY}.{home}")) if not n.startswith("_")]
     nearest = nearest_name(name, names)
-    return [
-        ConfigError(
-            f"'{term.target}' is a term of {belongs}",
-            key=f"{term.path}.{TARGET}",
-            expected=f"a term of {LIBRARY}.{home}, or of a package of yours",
-            nearest=f"{LIBRARY}.{home}.{nearest}" if nearest else None,
-        )
-    ]
+    message = f"'{term.target}' is a term of {belongs}"
+    expected = f"a term of {LIBRARY}.{home}, or of a package of yours"
+    nearest = f"{LIBRARY}.{home}.{nearest}" if nearest else None
+    return [ConfigError(message, key=f"{term.path}.{TARGET}", expected=expected, nearest=nearest)]
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:

@@ -322,16 +322,12 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
         cfg = loader._compose_config_from_defaults_list(defaults.defaults, loader.repository_used)
     except COMPOSING_ERRORS as problem:
         text = str(problem)
-        match = _IN_FILE.match(text)
+        match, full = _IN_FILE.match(text), re.search(r"full_key: (\S+)", text)
+        key = full.group(1) if full else None
         loaded = loader.repository_used.loaded.get(match.group(1)) if match else None
-        body = text.split("composing config:", 1)[-1]
-        key = re.search(r"full_key: (\S+)", text)
-        line = scalar_line(loaded.file, key.group(1).rsplit(".", 1)[-1]) if loaded and key else None
-        merge_error = DoesNotMerge(
-            f"does not merge: {flat(ValueError(body))}",
-            key=key.group(1) if key else None,
-            where=show_file(loaded.file, line) if loaded else None,
-        )
+        line = scalar_line(loaded.file, key.rsplit(".", 1)[-1]) if loaded and key else None
+        message = f"does not merge: {flat(ValueError(text.split('composing config:', 1)[-1]))}"
+        merge_error = DoesNotMerge(message, key=key, where=show_file(loaded.file, line) if loaded else None)
         merge_error.config_path = match.group(1) if match else None
         return merge_error
     OmegaConf.set_struct(cfg, True)
