@@ -18,15 +18,8 @@ import mujoco
 import numpy as np
 import torch
 
+from wheelleg_exp.anatomy import compiled_robot as robots
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
-from wheelleg_exp.anatomy.compiled_robot import (
-    CompiledRobot,
-    Drive,
-    at_default,
-    compiled_robot,
-    default_position,
-    provisional_robot,
-)
 from wheelleg_exp.anatomy.stance import weight_over_axle
 from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.robot_description import Dof
@@ -75,9 +68,11 @@ def case_of_file(source: Path) -> Case:
             drives = _drives_of_mjcf(model)
             return _file_case(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
-        positions = {dof.name: default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"}
+        positions = {
+            dof.name: robots.default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"
+        }
         described = conversion.description
-        robot = provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
+        robot = robots.provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
         return _file_case(source, env, conversion.output, robot, conversion, drives, described.driven)
 
@@ -88,7 +83,7 @@ def _file_case(
     mjcf: Path,
     robot: dict[str, Any],
     conversion: Conversion | None,
-    drives: Mapping[str, Drive | None],
+    drives: Mapping[str, robots.Drive | None],
     driven: Collection[str],
 ) -> Case:
     config = {"env": {**env, "robot": robot}}
@@ -98,11 +93,13 @@ def _file_case(
         raise AssetError("the robot has no joints", where=str(source), expected=expected)
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
-    lowest = lowest_point(model, at_default(model, scene.robot), bodies)
+    lowest = lowest_point(model, robots.at_default(model, scene.robot), bodies)
     # Put the robot on the ground, because a robot file contains no spawn height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
-    found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None, driven)
+    found, facts = robots.compiled_robot(
+        model, scene.robot, conversion.report if conversion is not None else None, driven
+    )
     wheels = set(facts.wheels)
     joints = {}
     for name, joint in facts.joints.items():
@@ -111,13 +108,13 @@ def _file_case(
     return Case(config, replace(facts, joints=joints), found)
 
 
-def _drive(dof: Dof) -> Drive | None:
+def _drive(dof: Dof) -> robots.Drive | None:
     """Return a joint's drive from the robot file. A missing limit means unlimited."""
     effort = effort_of(dof)
     if dof.drive is None and effort is None and dof.max_velocity is None:
         return None
     stiffness, damping = (dof.drive.stiffness, dof.drive.damping) if dof.drive is not None else (0.0, 0.0)
-    return Drive("", stiffness, damping, _limit(effort), _limit(dof.max_velocity))
+    return robots.Drive("", stiffness, damping, _limit(effort), _limit(dof.max_velocity))
 
 
 def _limit(value: float | None) -> float:
@@ -147,12 +144,12 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
         positions[name] = float(min(max(qpos[model.jnt_qposadr[joint]], low), high))
     start = int(model.jnt_qposadr[free[0]]) + 3 if len(free) else None
     rotation = qpos[start : start + 4].tolist() if start is not None else [1.0, 0.0, 0.0, 0.0]
-    return provisional_robot(source.stem, rotation, positions)
+    return robots.provisional_robot(source.stem, rotation, positions)
 
 
-def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
+def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, robots.Drive | None]:
     """Return the drive of each joint with actuators: the sums of their gains and efforts, limited by the joint."""
-    drives: dict[str, Drive | None] = {}
+    drives: dict[str, robots.Drive | None] = {}
     for joint in range(model.njnt):
         own = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
         parts = [_actuator(model, index) for index in np.flatnonzero(own).tolist()]
@@ -162,7 +159,7 @@ def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
         damping += float(model.dof_damping[model.jnt_dofadr[joint]])
         if model.jnt_actfrclimited[joint]:
             effort = min(effort, float(np.abs(model.jnt_actfrcrange[joint]).max()))
-        drives[model.joint(joint).name] = Drive("", stiffness, damping, effort, math.inf)
+        drives[model.joint(joint).name] = robots.Drive("", stiffness, damping, effort, math.inf)
     return drives
 
 
@@ -283,7 +280,7 @@ def notes_on(case: Case) -> list[str]:
     return notes + _self_collisions(robot)
 
 
-def _wheels_note(robot: CompiledRobot) -> str:
+def _wheels_note(robot: robots.CompiledRobot) -> str:
     anatomy = robot.anatomy
     if not anatomy.wheels:
         return "no wheels: no low hinge without limits at the end of a chain turns a round part about a level axis"
@@ -294,7 +291,7 @@ def _wheels_note(robot: CompiledRobot) -> str:
     return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) in the base '{anatomy.base}'"
 
 
-def _self_collisions(robot: CompiledRobot) -> list[str]:
+def _self_collisions(robot: robots.CompiledRobot) -> list[str]:
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
     hidden = [pair for pair in pairs if not pair.acts and not pair.neighbours]
     if not hidden:

@@ -6,15 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.lint.reward_tolerances import (
-    FAILURES,
-    TRACKING,
-    Contribution,
-    command_size,
-    contributions,
-    earned_per_second,
-    tracked,
-)
+from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
 _AUDIBLE = 0.01  # An error must cost at least this share of a perfect robot's reward.
@@ -41,8 +33,8 @@ def tracking_std(case: Case) -> Iterator[Finding]:
     of standing commands excluded. If all commands are zero, a robot that drifts at one unit of wheel action must not
     earn the reward. Source: the integral of the reward's own formula.
     """
-    for term in tracked(case):
-        std, size = float(term.node["std"]), command_size(case, term)
+    for term in tolerances.tracked(case):
+        std, size = float(term.node["std"]), tolerances.command_size(case, term)
         finding = _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
         if finding is not None:
             yield finding
@@ -59,7 +51,7 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
     earned = sum(value for value in trial.values() if value > 0.0)
     for term in case.terms("rewards"):
         cost = -trial.get(term.name, 0.0)
-        if term.kind in FAILURES or cost <= _OUTWEIGHS * earned:
+        if term.kind in tolerances.FAILURES or cost <= _OUTWEIGHS * earned:
             continue
         weight = float(term.node["weight"])
         key, right = f"{term.path}.weight", at_most(abs(weight) * _OUTWEIGHS * earned / cost, 2)
@@ -70,7 +62,7 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
 
 
 def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
-    unit, score, narrow = _UNIT[TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
+    unit, score, narrow = _UNIT[tolerances.TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
     if score < _STILL:
         return None
     standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
@@ -85,7 +77,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
 
 
 def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
-    kind = TRACKING[term.kind]
+    kind = tolerances.TRACKING[term.kind]
     # The speed at one unit of wheel action, m/s; a tenth of the top speed without such an action.
     drift = 0.1 * case.facts.top_speed
     for action in case.terms("actions", "actions.JointVelocityAction"):
@@ -119,8 +111,8 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
     less than 1 % of a perfect robot's reward, the term is lost in the noise of the return. Source: Isaac Lab 2.3.2,
     ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
-    found = contributions(case)
-    best = earned_per_second(found)
+    found = tolerances.contributions(case)
+    best = tolerances.earned_per_second(found)
     for item in found:
         cost = abs(item.weight) * item.cost
         if item.once or item.value is None or cost == 0.0 or best <= 0.0 or cost >= _AUDIBLE * best:
@@ -136,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
         )
 
 
-def _audible_weight(item: Contribution, best: float) -> float | None:
+def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
     """Return the smallest weight at which a term's error costs enough; None if a larger weight only earns more."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
@@ -152,9 +144,9 @@ def falling_pays(case: Case) -> Iterator[Finding]:
     horizon 1/(1 - gamma). If this is below the price of a failure, the policy learns to fall at once. Source: the
     discounted return of PPO, Schulman et al. 2017.
     """
-    found = contributions(case)
+    found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
-    failing = sum(c.weight * (c.value or 0.0) for c in found if c.term.kind in FAILURES)
+    failing = sum(c.weight * (c.value or 0.0) for c in found if c.term.kind in tolerances.FAILURES)
     steps = min(horizon_steps(case), case.episode_steps)
     if living * steps < failing or (living < 0.0 and failing == 0.0):
         yield Finding(

@@ -10,19 +10,11 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Assumption
 from wheelleg_exp.asset.mjcf import mjcf_elements as of
 from wheelleg_exp.asset.mjcf.default_classes import gather
 from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
-from wheelleg_exp.asset.robot_description import (
-    Body,
-    Geom,
-    Mesh,
-    Numbered,
-    Pose,
-    RobotDescription,
-    Site,
-)
 from wheelleg_exp.errors import AssetError
 
 FEW = 6  # comments of one rule
@@ -67,13 +59,13 @@ class Notes:
 class Names:
     """Unique names of the free joints, loop closures, and anchor sites of an MJCF."""
 
-    def __init__(self, robot: RobotDescription) -> None:
-        joints = Numbered(dof.name for dof in robot.dofs)
-        sites = Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
-        equalities = Numbered(coupling.name for coupling in robot.couplings)
+    def __init__(self, robot: desc.RobotDescription) -> None:
+        joints = desc.Numbered(dof.name for dof in robot.dofs)
+        sites = desc.Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
+        equalities = desc.Numbered(coupling.name for coupling in robot.couplings)
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}
-        self.anchors: dict[str | None, list[tuple[str, Pose]]] = {}
+        self.anchors: dict[str | None, list[tuple[str, desc.Pose]]] = {}
         # An equality that closes a loop connects two sites, because sites state both frames explicitly.
         for closure in robot.closures:
             made = self.equalities.setdefault(closure.name, [])
@@ -87,12 +79,12 @@ class Names:
                 made.append((name, ends[0], ends[1]))
 
 
-def file_name(mesh: Mesh) -> str:
+def file_name(mesh: desc.Mesh) -> str:
     """Return the name of a mesh's OBJ file, with slashes and other special characters replaced by ``_``."""
     return re.sub(r"[^\w.-]", "_", mesh.name) + ".obj"
 
 
-def obj_text(mesh: Mesh) -> str:
+def obj_text(mesh: desc.Mesh) -> str:
     """Return the text of a mesh's OBJ file, with lossless numbers."""
     points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (an f-string takes twice as long)
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
@@ -106,7 +98,7 @@ DEEPEST = 499  # levels of nested elements
 class Writer:
     """The MJCF document of one robot."""
 
-    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Assumption] = ()) -> None:
+    def __init__(self, robot: desc.RobotDescription, mesh_folder: str, notes: Sequence[Assumption] = ()) -> None:
         self.robot, self.mesh_folder = robot, mesh_folder
         self.notes = Notes(notes)
         self.names = Names(robot)
@@ -155,7 +147,7 @@ class Writer:
         root.comment = "\n".join(lines)
         return root.text() + "\n"
 
-    def _body(self, parent: Element, body: Body) -> Element:
+    def _body(self, parent: Element, body: desc.Body) -> Element:
         passes_class = body.parent is None and self.classes.inherited()
         out = parent.add("body", name=body.name, childclass=self.classes.root if passes_class else None)
         out.attributes.update(of.pose(body.pose))
@@ -185,7 +177,7 @@ class Writer:
             self._geom(out, geom)
         return out
 
-    def _sites(self, out: Element, sites: tuple[Site, ...], owner: str | None) -> None:
+    def _sites(self, out: Element, sites: tuple[desc.Site, ...], owner: str | None) -> None:
         for site in sites:
             shared = self.classes.explicit("site", site.name) if owner is None else self.classes.of("site", site.name)
             rest = self.classes.rest("site", site.name)
@@ -194,7 +186,7 @@ class Writer:
         for name, at in self.names.anchors.get(owner, []):
             out.add("site", of.pose(at), name=name)
 
-    def _geom(self, out: Element, geom: Geom, static: bool = False) -> None:
+    def _geom(self, out: Element, geom: desc.Geom, static: bool = False) -> None:
         bare = static and geom.collides
         rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
         element = out.add(
@@ -273,7 +265,7 @@ class Writer:
 HOME = "home"
 
 
-def keyframes(robot: RobotDescription) -> Element:
+def keyframes(robot: desc.RobotDescription) -> Element:
     """Return the ``<keyframe>`` of a robot; a keyframe ``home`` of the file replaces the generated one."""
     out = Element("keyframe")
     positions, velocities = state(robot)
@@ -294,7 +286,7 @@ def keyframes(robot: RobotDescription) -> Element:
     return out
 
 
-def state(robot: RobotDescription) -> tuple[list[float], list[float]]:
+def state(robot: desc.RobotDescription) -> tuple[list[float], list[float]]:
     """Return qpos and qvel: the saved state, with floating bases at their drawn poses."""
     positions: list[float] = []
     velocities: list[float] = []

@@ -11,20 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Report, is_placeholder
 from wheelleg_exp.asset.report_writer import report_of
 from wheelleg_exp.asset.rigid_geometry import Frame
-from wheelleg_exp.asset.robot_description import (
-    RESERVED,
-    BaseMode,
-    Body,
-    Coupling,
-    Dof,
-    Inertial,
-    Pose,
-    RobotDescription,
-    Vec3,
-)
 from wheelleg_exp.asset.urdf.mesh_files import Files
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element, audit, open_document
 from wheelleg_exp.asset.urdf.urdf_inertia import inertials
@@ -40,7 +30,7 @@ PLANAR = ("_transX", "_transY", "_rotZ")  # names of slides and hinge
 Range = tuple[float, float]
 
 
-def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[Dof, ...]:
+def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[desc.Dof, ...]:
     """Return the degrees of freedom of a joint; an empty tuple for a fixed or floating joint."""
     axes = seen.axes if joint.kind != "floating" else ()
     document.ledger.mapped(joint.element.path, "joint", _became(joint, axes))
@@ -67,9 +57,9 @@ def _became(joint: Joint, axes: tuple[Axis, ...]) -> str:
     return f"joint {joint.name} ({', '.join(axis.kind for axis in axes)})"
 
 
-def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> Dof:
+def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> desc.Dof:
     own = not suffix
-    return Dof(
+    return desc.Dof(
         name=joint.name + suffix,
         path=joint.element.path,
         kind=axis.kind,
@@ -83,7 +73,7 @@ def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Lim
     )
 
 
-def _direction(document: Document, joint: Joint, axis: Vec3) -> Vec3:
+def _direction(document: Document, joint: Joint, axis: desc.Vec3) -> desc.Vec3:
     length = float(np.linalg.norm(axis))
     if abs(length - 1.0) < UNIT_LENGTH:
         return axis
@@ -178,7 +168,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
     return limit
 
 
-def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Coupling, ...]:
+def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
     """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
 
     ``dofs`` maps the name of each joint with one hinge or slide to its degree of freedom.
@@ -192,7 +182,9 @@ def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Cou
     return tuple(found)
 
 
-def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, dofs: dict[str, Dof]) -> Coupling | None:
+def _coupling(
+    document: Document, joint: Joint, element: Element, tree: Tree, dofs: dict[str, desc.Dof]
+) -> desc.Coupling | None:
     leader = document.required(element, "joint", "equality joint")
     multiplier = document.number(element, "multiplier", "equality joint polycoef")
     offset = document.number(element, "offset", "equality joint polycoef")
@@ -205,7 +197,7 @@ def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, do
         document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
         return None
     ratio = 1.0 if multiplier is None else multiplier
-    return Coupling(
+    return desc.Coupling(
         f"{joint.name}_coupling",
         element.path,
         dofs[joint.name].name,
@@ -219,7 +211,7 @@ EARTH = 9.81
 SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF always uses SI units
 
 
-def read_urdf(source: Path, base: BaseMode) -> tuple[RobotDescription, Report]:
+def read_urdf(source: Path, base: desc.BaseMode) -> tuple[desc.RobotDescription, Report]:
     """Read a URDF file into a robot description and a conversion report."""
     document = open_document(source)
     robot, files = _Builder(document, base).build()
@@ -239,7 +231,7 @@ def source_files(source: Path) -> dict[str, str]:
 class _Builder:
     """Builder of the robot description; each link except the world link becomes a body."""
 
-    def __init__(self, document: Document, base: BaseMode) -> None:
+    def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base
         self.tree: Tree = read_tree(document)
         self.seen: dict[str, Seen] = read_links(document, self.tree)
@@ -247,7 +239,7 @@ class _Builder:
         self.shapes = Shapes(document, self.tree, self.seen, self.files)
         tree = self.tree
         names = {name: name for name in tree.links}
-        for name in RESERVED & set(names):
+        for name in desc.RESERVED & set(names):
             if tree.world is not None and tree.world.name == name:
                 continue
             free = f"{name}_link"
@@ -259,7 +251,7 @@ class _Builder:
         joints = self.tree.joints.values()
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
-    def build(self) -> tuple[RobotDescription, Files]:
+    def build(self) -> tuple[desc.RobotDescription, Files]:
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids, self.base)
         # The world link is MuJoCo's world body; its shapes become static geoms.
@@ -268,10 +260,10 @@ class _Builder:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
         # The bodies with each tree in one piece: a link on a floating joint starts its own tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
-        children: dict[str | None, list[Body]] = {}
+        children: dict[str | None, list[desc.Body]] = {}
         for body in bodies:
             children.setdefault(body.parent, []).append(body)
-        out: list[Body] = []
+        out: list[desc.Body] = []
         stack = list(reversed(children.get(None, [])))
         while stack:
             body = stack.pop()
@@ -279,7 +271,7 @@ class _Builder:
             stack.extend(reversed(children.get(body.name, [])))
         single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
         joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
-        robot = RobotDescription(
+        robot = desc.RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
             bodies=tuple(out),
             gravity=(0.0, 0.0, -EARTH),
@@ -307,12 +299,12 @@ class _Builder:
         return {"colliders": sum(of_file), "visuals": len(of_file) - sum(of_file)}
 
     # ------------------------------------------------------------ bodies
-    def _body(self, link: Link, inertial: Inertial) -> Body:
+    def _body(self, link: Link, inertial: desc.Inertial) -> desc.Body:
         joint, path = link.joint, link.element.path
         self.document.ledger.mapped(path, "link", f"body {self.names[link.name]}")
         floating = self._floats(link)
         inside = joint is not None and joint.parent is not self.tree.world and not floating
-        return Body(
+        return desc.Body(
             name=self.names[link.name],
             path=path,
             parent=self.names[joint.parent.name] if joint and inside else None,
@@ -342,7 +334,7 @@ class _Builder:
             return False
         return joint.kind == "floating"
 
-    def _world_pose(self, link: Link) -> Pose:
+    def _world_pose(self, link: Link) -> desc.Pose:
         chain = [link]
         while chain[-1].joint is not None:
             chain.append(chain[-1].joint.parent)
@@ -362,7 +354,7 @@ class _Builder:
         return tuple(pairs)
 
 
-def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:
+def summarise(document: Document, robot: desc.RobotDescription, files: Files) -> Report:
     """Return the conversion report of a robot that was read from a URDF file."""
     return report_of(
         robot,

@@ -14,16 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.robot_description import (
-    Actuator,
-    Geom,
-    Keyframe,
-    Numbered,
-    RobotDescription,
-    Tendon,
-    TendonPoint,
-    unique_names,
-)
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links, shown_names
 from wheelleg_exp.asset.usd.colliders import is_site
 from wheelleg_exp.asset.usd.gprims import shape_of
@@ -153,15 +144,15 @@ class Targets:
         return next(((kind, names[path]) for kind, names in kinds if path in names), None)
 
 
-def read_actuators(stage: Stage, targets: Targets) -> tuple[Actuator, ...]:
+def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
     """Return the actuators whose target is in the MJCF, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR]
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_actuator(stage, prim, names[str(prim.GetPath())], targets) for prim in prims)
     return tuple(actuator for actuator in found if actuator is not None)
 
 
-def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actuator | None:
+def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc.Actuator | None:
     paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
     target = targets.find(paths[0]) if paths else None
     if target is None:
@@ -200,7 +191,7 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actu
         stage.ledger.leave(prim.GetPath(), "mjc:inheritRange", reason, extra.pop("inheritrange"))
         stage.ledger.warn(f"{prim.GetPath()}: mjc:inheritRange was left out: {reason}")
     stage.ledger.mapped(prim.GetPath(), ACTUATOR, f"actuator {name}")
-    return Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
+    return desc.Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
 
 
 def _leave_actuator(stage: Stage, prim: Usd.Prim, reason: str) -> None:
@@ -233,10 +224,10 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
 
 def read_tendons(
     stage: Stage, joints: Mapping[str, str], sites: Mapping[str, str], geoms: Mapping[str, str]
-) -> tuple[Tendon, ...]:
+) -> tuple[desc.Tendon, ...]:
     """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
     prims = tendon_prims(stage)
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_tendon(stage, prim, names[str(prim.GetPath())], joints, sites, geoms) for prim in prims)
     return tuple(tendon for tendon in found if tendon is not None)
 
@@ -248,7 +239,7 @@ def _tendon(
     joints: Mapping[str, str],
     sites: Mapping[str, str],
     geoms: Mapping[str, str],
-) -> Tendon | None:
+) -> desc.Tendon | None:
     fixed = stage.ledger.read(prim, "mjc:type", "fixed or spatial") == "fixed"
     try:
         factors = _factors(stage, prim, joints) if fixed else ()
@@ -266,7 +257,7 @@ def _tendon(
     stage.ledger.mapped(prim.GetPath(), TENDON, f"tendon {name}")
     span = bounds.get("range")
     length = (span[0], span[1]) if isinstance(span, tuple) else None
-    return Tendon(name, str(prim.GetPath()), points, factors, length, extra)
+    return desc.Tendon(name, str(prim.GetPath()), points, factors, length, extra)
 
 
 class _BrokenPath(Exception):
@@ -294,7 +285,7 @@ def _factors(stage: Stage, prim: Usd.Prim, joints: Mapping[str, str]) -> tuple[t
 
 def _points(
     stage: Stage, prim: Usd.Prim, sites: Mapping[str, str], geoms: Mapping[str, str]
-) -> tuple[TendonPoint, ...]:
+) -> tuple[desc.TendonPoint, ...]:
     route = _route(stage, prim)
     segments = indices(stage, prim, "mjc:path:segments", "the tendon's pulleys") or [0] * len(route)
     divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)
@@ -309,23 +300,25 @@ def _points(
     sides = [sites[targets[i]] if i >= 0 else None for i in order]
     if len(segments) != len(route) or max(segments) >= len(divisors):
         raise _BrokenPath("the tendon's path does not match its segments")
-    points: list[TendonPoint] = []
+    points: list[desc.TendonPoint] = []
     current = 0
     for path, segment, side in zip(route, segments, sides, strict=True):
         # MJCF marks a new tendon segment by a pulley with the segment's divisor.
         if segment != current or (not points and divisors[0] != 1.0):
-            points.append(TendonPoint("pulley", divisor=divisors[segment]))
+            points.append(desc.TendonPoint("pulley", divisor=divisors[segment]))
         current = segment
         if path not in sites and path not in geoms:
             raise _BrokenPath(f"there is no site or geom '{path}' in the model")
-        points.append(TendonPoint("site", sites[path]) if path in sites else TendonPoint("geom", geoms[path], side))
+        points.append(
+            desc.TendonPoint("site", sites[path]) if path in sites else desc.TendonPoint("geom", geoms[path], side)
+        )
     return tuple(points)
 
 
 WRAPPED = {"sphere", "cylinder"}
 
 
-def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
+def with_wraps(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with a geom added for each shape on a tendon's path that has no geom yet."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
     found: dict[str, Usd.Prim] = {}
@@ -336,9 +329,9 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
                 found[str(target)] = wrapped
     prims = [prim for prim in found.values() if str(prim.GetPath()) not in known]
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
-    taken = Numbered(geom.name for geom in geoms)
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    added: dict[str | None, list[Geom]] = {}
+    taken = desc.Numbered(geom.name for geom in geoms)
+    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    added: dict[str | None, list[desc.Geom]] = {}
     for prim in prims:
         link = links.owner(prim.GetPath())
         inside = link.frame.inverse().matrix() @ stage.matrix(prim) if link else stage.matrix(prim)
@@ -348,7 +341,7 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
         path = str(prim.GetPath())
         name = taken.take(names[path])
         stage.ledger.mapped(path, str(prim.GetTypeName()), f"geom {name}, which tendons wrap around")
-        geom = Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
+        geom = desc.Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
         added.setdefault(link.path if link else None, []).append(geom)
     if not added:
         return robot
@@ -360,15 +353,15 @@ KEYFRAME = "MjcKeyframe"
 KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "ctrl", "mpos", "mquat")}
 
 
-def read_keyframes(stage: Stage, robot: RobotDescription) -> tuple[Keyframe, ...]:
+def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
     """Return the keyframes whose arrays match the robot's numbers of coordinates, velocities, and controls."""
     prims = [prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME]
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_keyframe(stage, prim, names[str(prim.GetPath())], robot) for prim in prims)
     return tuple(keyframe for keyframe in found if keyframe is not None)
 
 
-def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) -> Keyframe | None:
+def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescription) -> desc.Keyframe | None:
     extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
     # The required length of each array of a keyframe.
     free = sum(body.floating for body in robot.bodies)
@@ -396,4 +389,4 @@ def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) 
             stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
             return None
     stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
-    return Keyframe(name, str(prim.GetPath()), extra)
+    return desc.Keyframe(name, str(prim.GetPath()), extra)

@@ -15,20 +15,10 @@ from typing import Any
 import numpy as np
 from pxr import Usd
 
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.asset.report_writer import summarise
 from wheelleg_exp.asset.rigid_geometry import single
-from wheelleg_exp.asset.robot_description import (
-    BaseMode,
-    Body,
-    Dof,
-    Drive,
-    Geom,
-    Pose,
-    RobotDescription,
-    Site,
-    Vec3,
-)
 from wheelleg_exp.asset.usd.audit import audit
 from wheelleg_exp.asset.usd.bodies.body_tree import Node, Tree, build_tree, read_closures
 from wheelleg_exp.asset.usd.bodies.mass import inertial_of
@@ -46,7 +36,7 @@ HALF_STEP = 2.0**-25
 MOST_DIGITS = 9
 
 
-def shortened(stage: Stage, robot: RobotDescription) -> RobotDescription:
+def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return a robot whose single-precision numbers are the shortest decimals that read back as the same number."""
     coarse = all(_is_single(prim) for prim in stage.prims)
     bodies = tuple(_short_body(stage, body, coarse) for body in robot.bodies)
@@ -66,7 +56,7 @@ def _is_single(prim: Usd.Prim) -> bool:
     return True
 
 
-def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
+def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
     by_joint = body.parent is not None
     # Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other.
     w, x, y, z = _shortest(body.inertial.axes, 1.0)
@@ -79,7 +69,7 @@ def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
     )
 
 
-def _short_dof(stage: Stage, dof: Dof) -> Dof:
+def _short_dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     """Shorten the numbers of a joint without attributes of MuJoCo's schemas, which have double precision."""
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
@@ -95,7 +85,7 @@ def _short_dof(stage: Stage, dof: Dof) -> Dof:
     )
 
 
-def _short_drive(drive: Drive) -> Drive:
+def _short_drive(drive: desc.Drive) -> desc.Drive:
     return replace(
         drive,
         stiffness=single(drive.stiffness),
@@ -106,16 +96,16 @@ def _short_drive(drive: Drive) -> Drive:
     )
 
 
-def _short_geom(geom: Geom) -> Geom:
+def _short_geom(geom: desc.Geom) -> desc.Geom:
     return replace(geom, size=tuple(single(value) for value in geom.size), pose=_short_pose(geom.pose))
 
 
-def _short_pose(pose: Pose) -> Pose:
+def _short_pose(pose: desc.Pose) -> desc.Pose:
     w, x, y, z = _shortest(pose.rotation, 1.0)
-    return Pose(_short_vector(pose.position), (w, x, y, z))
+    return desc.Pose(_short_vector(pose.position), (w, x, y, z))
 
 
-def _short_vector(values: Vec3) -> Vec3:
+def _short_vector(values: desc.Vec3) -> desc.Vec3:
     x, y, z = _shortest(values, max(map(abs, values)))
     return x, y, z
 
@@ -128,7 +118,7 @@ def _shortest(values: Iterable[float], size: float) -> list[float]:
     return found
 
 
-def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
+def read_usd(source: Path, base: desc.BaseMode, variants: Mapping[str, str]) -> tuple[desc.RobotDescription, Report]:
     """Read the robot of a USD file, and make its conversion report."""
     with library(source):
         stage = open_stage(source, variants)
@@ -136,7 +126,7 @@ def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple
         return robot, summarise(stage, robot)
 
 
-def describe(stage: Stage, base: BaseMode) -> RobotDescription:
+def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     """Return the robot description of an open USD stage."""
     links = find_links(stage)
     joints = read_joints(stage, links)
@@ -150,7 +140,7 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     parts.sites = find_sites(stage, links)
     dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
     bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
-    robot = RobotDescription(
+    robot = desc.RobotDescription(
         name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
         bodies=bodies,
         gravity=gravity(stage),
@@ -170,7 +160,7 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     return robot
 
 
-def _integrated(stage: Stage, robot: RobotDescription) -> RobotDescription:
+def _integrated(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Set an implicit integrator for drives, as in PhysX; MuJoCo's default is unstable with stiff drives."""
     if "integrator" in robot.option or not any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
         return robot
@@ -178,7 +168,7 @@ def _integrated(stage: Stage, robot: RobotDescription) -> RobotDescription:
     return replace(robot, option={**robot.option, "integrator": "implicitfast"})
 
 
-def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str, ...]:
+def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[desc.Dof, ...]]) -> tuple[str, ...]:
     levels = sorted(tree.nodes, key=lambda node: node.depth)
     return tuple(dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1])
 
@@ -186,16 +176,16 @@ def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str
 class _Parts:
     def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
         self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
-        self.sites: dict[str, list[Site]] = {}
+        self.sites: dict[str, list[desc.Site]] = {}
 
-    def geoms(self, node: Node | None) -> tuple[Geom, ...]:
+    def geoms(self, node: Node | None) -> tuple[desc.Geom, ...]:
         bits = self.filters.bits
         found = self.shapes.of(node.link if node else None)
         return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
 
-    def body(self, node: Node, dofs: tuple[Dof, ...]) -> Body:
+    def body(self, node: Node, dofs: tuple[desc.Dof, ...]) -> desc.Body:
         link = node.link
-        return Body(
+        return desc.Body(
             name=link.name,
             path=link.path,
             parent=node.parent.name if node.parent else None,

@@ -19,15 +19,7 @@ from wheelleg_exp.config.key_slots import named_section
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.rendering.renderer import too_many
-from wheelleg_exp.terms.term_binding import (
-    RESERVED,
-    TARGET,
-    NotSelected,
-    TermNode,
-    resolve_target,
-    split_node,
-    walk_nodes,
-)
+from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
 # The base class of the terms of each section, and the first arguments that the managers pass to functions.
@@ -37,7 +29,7 @@ _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Yield the section, the path, and the node of every term in the tree."""
-    for section in RESERVED:
+    for section in binding.RESERVED:
         nodes = section_at(config, f"env.{section}")
         if section == "observations":
             for name, group in nodes.items():
@@ -53,11 +45,11 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
     errors = []
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
-            if isinstance(error, NotSelected):
+            if isinstance(error, binding.NotSelected):
                 parent, _, name = path.rpartition(".")
                 terms = section_at(config, parent).items()
                 error.nearest = nearest_name(
-                    name, [str(term) for term, node in terms if isinstance(node, Mapping) and TARGET in node]
+                    name, [str(term) for term, node in terms if isinstance(node, Mapping) and binding.TARGET in node]
                 )
             errors.append(error)
     return errors
@@ -66,7 +58,7 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
     """Return the mistakes in one term: its selection, its target, its manager's fields, and its parameters."""
     try:
-        term = split_node(section, path, node)
+        term = binding.split_node(section, path, node)
     except ConfigError as error:
         return [error]
     errors = field_errors(section, term)
@@ -79,7 +71,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
     return errors + (wrong or parameter_errors(section, term, target))
 
 
-def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
     if inspect.isclass(target):
         from wheelleg_exp import managers
 
@@ -105,7 +97,7 @@ def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> li
     return [ConfigError(message, key=term.path, expected=f"def {name}({listed}, ...)")]
 
 
-def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
+def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
     """Reject a stock term of another section, because this section would misinterpret its return value."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
@@ -117,13 +109,13 @@ def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
     message = f"'{term.target}' is a term of {belongs}"
     expected = f"a term of {LIBRARY}.{home}, or of a package of yours"
     nearest = f"{LIBRARY}.{home}.{nearest}" if nearest else None
-    return [ConfigError(message, key=f"{term.path}.{TARGET}", expected=expected, nearest=nearest)]
+    return [ConfigError(message, key=f"{term.path}.{binding.TARGET}", expected=expected, nearest=nearest)]
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
     """Import an allowed target. For a misspelled module, the error names the most similar module."""
     try:
-        return resolve_target(target, path)
+        return binding.resolve_target(target, path)
     except ConfigError as error:
         if error.nearest is None and isinstance(error.__cause__, ModuleNotFoundError):
             nearest = _nearest_target(target)
@@ -151,11 +143,11 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
     """Return the mistakes in every ``_target_`` node that is not a term, such as a sensor, actuator, or noise."""
     terms = {path for _, path, _ in term_nodes(config)}
     errors: list[ConfigError] = []
-    for path, node in walk_nodes(config):
-        if TARGET not in node or path in terms:
+    for path, node in binding.walk_nodes(config):
+        if binding.TARGET not in node or path in terms:
             continue
         try:
-            errors += nested_errors(path, node, import_target(str(node[TARGET]), path))
+            errors += nested_errors(path, node, import_target(str(node[binding.TARGET]), path))
         except ConfigError as error:
             errors.append(error)
     return errors
