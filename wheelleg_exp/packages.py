@@ -113,16 +113,12 @@ def read_project(folder: Path) -> Project | None:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"the file is not valid TOML: {error}", where=str(file)) from None
-    declared = _below(table, "project", "entry-points", ENTRY_POINT_GROUP)
-    if not declared:
+    declared: Any = table
+    for key in ("project", "entry-points", ENTRY_POINT_GROUP):
+        declared = declared.get(key) if isinstance(declared, Mapping) else None
+    if not isinstance(declared, Mapping) or not declared:
         return None
     return Project(folder, tuple(sorted(_package(value, file) for value in declared.values())))
-
-
-def _below(table: Any, *keys: str) -> Mapping[str, Any]:
-    for key in keys:
-        table = table.get(key) if isinstance(table, Mapping) else None
-    return table if isinstance(table, Mapping) else {}
 
 
 def _package(value: Any, file: Path) -> str:
@@ -192,9 +188,13 @@ def config_folder(folder: Path) -> Path:
     if absolute.is_dir():
         project = read_project(absolute)
         return project.configs if project is not None and project.configs.is_dir() else absolute
-    installed = _installed_configs(str(folder))
-    if installed is not None:
-        return installed
+    if str(folder) in installed_packages():  # Find the folder without importing the package.
+        spec = importlib.util.find_spec(str(folder).split(".")[0])
+        for place in spec.submodule_search_locations or () if spec is not None else ():
+            for configs in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
+                inside = configs.parent == Path(place) or (configs.parent / FILE).is_file()
+                if inside and configs.is_dir():
+                    return configs
     parent = absolute.parent
     siblings = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
     raise ConfigError(
@@ -204,19 +204,6 @@ def config_folder(folder: Path) -> Path:
         expected="a folder with YAML files, a project, or an installed package that declares itself",
         nearest=nearest_name(absolute.name, siblings),
     )
-
-
-def _installed_configs(package: str) -> Path | None:
-    """Return the config folder of an installed package that declares itself, without importing the package."""
-    if package not in installed_packages():
-        return None
-    spec = importlib.util.find_spec(package.split(".")[0])
-    for place in spec.submodule_search_locations or () if spec is not None else ():
-        for folder in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
-            inside = folder.parent == Path(place) or (folder.parent / FILE).is_file()
-            if inside and folder.is_dir():
-                return folder
-    return None
 
 
 def installed_packages() -> tuple[str, ...]:

@@ -67,7 +67,8 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
                 near[joint] = "nothing of what it turns collides"
             continue
         shape = _measured(tree, joint, bodies, solid)
-        if not _is_round(tree, shape):
+        round_enough = shape.roundness >= _ROUND or (shape.roundness >= _ROUGH and _spins_freely(tree, shape))
+        if shape.radius < _SMALLEST or not round_enough:
             if tree.turns(joint) > TURNS and _spins_freely(tree, shape):
                 near[joint] = _where_its_shape_is(shape)
             continue
@@ -119,12 +120,6 @@ def _where_its_shape_is(shape: Found) -> str:
         return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
     return f"its colliders, unlike its masses, are not round about its axis: they reach {extent} from the axis"
-
-
-def _is_round(tree: Tree, shape: Found) -> bool:
-    if shape.radius < _SMALLEST or shape.roundness < _ROUGH:
-        return False
-    return shape.roundness >= _ROUND or _spins_freely(tree, shape)
 
 
 def _spins_freely(tree: Tree, shape: Found) -> bool:

@@ -181,9 +181,12 @@ class _Problem:
         moved = (positions - self.preferred) / self.spread
         # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
         # Balance has a smaller weight on several axles, because they can carry a mass that is between them.
+        sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
+        # The distance of the left wheels in front of the right wheels, m.
+        askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
         errors = [
             (200.0 if self.one_axle else 20.0) * self.offset() / self.size,
-            100.0 * self._askew(centres) / self.size,
+            100.0 * askew / self.size,
             *(500.0 * self._clearances(centres) / self.size),
             *(10.0 * (data.xaxis[self.rolling] @ np.array([self.up, self.forward]).T)).ravel(),
             *(1000.0 * loops / self.size),
@@ -199,13 +202,6 @@ class _Problem:
         """Return the heights of the wheels' lowest points minus the mean height, m, (wheels,)."""
         lows: Array = centres @ self.up - self.radii
         return lows - lows.mean()
-
-    def _askew(self, centres: Array) -> float:
-        """Return how far the left wheels are in front of the right wheels, m."""
-        sides = {side: centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")}
-        if any(len(places) == 0 for places in sides.values()):
-            return 0.0
-        return float((sides["left"].mean(axis=0) - sides["right"].mean(axis=0)) @ self.forward)
 
     def cost(self, positions: Array) -> float:
         return float(np.square(self.residual(positions)).sum())

@@ -28,20 +28,10 @@ from typing import Any, Literal, get_args
 from wheelleg_exp.plain_data import json_value
 
 Kind = Literal[
-    "no_inertial",
-    "no_inertia",
-    "tiny_inertia",
-    "impossible_inertia",
-    "no_colliders",
-    "implausible_size",
-    "end_without_collider",
-    "mesh_not_found",
-    "layer_not_found",
-    "limits_ignored",
-    "no_limits",
-    "placeholder_effort",
+    "no_inertial", "no_inertia", "tiny_inertia", "impossible_inertia", "no_colliders", "implausible_size",
+    "end_without_collider", "mesh_not_found", "layer_not_found", "limits_ignored", "no_limits", "placeholder_effort",
     "placeholder_velocity",
-]
+]  # fmt: skip
 KINDS: tuple[Kind, ...] = get_args(Kind)
 UNITS = "check the units: metres and kilograms; meshes in mm need a scale of 0.001"
 SIZES = (0.01, 20.0)  # m
@@ -195,8 +185,7 @@ class Report:
             fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
             fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
             fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
-            fields["warnings"] = tuple(data["warnings"])
-            fields["unresolved"] = tuple(data["unresolved"])
+            fields["warnings"], fields["unresolved"] = tuple(data["warnings"]), tuple(data["unresolved"])
             fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
             return Report(**fields)
         except (KeyError, TypeError, AttributeError) as error:

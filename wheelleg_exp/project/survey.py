@@ -156,7 +156,10 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         rotation = next(conversion.description.children(None)).pose.rotation
         robot = provisional_robot(conversion.description.name, rotation, chosen)
         scene = SceneManager({**env, "robot": robot}, conversion.output, 1).scene
-        _require_floating(scene.robot, source)
+        if not scene.robot.floating:
+            message = f"joints connect the base to the world ({scene.robot.joint_names[0]}, ...), so the robot cannot "
+            message += "stand or fall"
+            raise AssetError(message, where=str(source), expected="a base that can move freely")
         model = scene.spec.compile()
         lost = missing_colliders(conversion.report, model)
         if lost and not allow_missing:
@@ -174,14 +177,6 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
             scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
             model = scene.spec.compile()
         return _measured(conversion, scene.robot, model, chosen, standing)
-
-
-def _require_floating(robot: Robot, source: Path) -> None:
-    if not robot.floating:
-        message = (
-            f"joints connect the base to the world ({robot.joint_names[0]}, ...), so the robot cannot stand or fall"
-        )
-        raise AssetError(message, where=str(source), expected="a base that can move freely")
 
 
 def _measured(

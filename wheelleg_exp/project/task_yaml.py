@@ -42,7 +42,15 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
   scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
 """
     if robot.raised_bodies:
-        files[f"termination/{name}_contact.yaml"] = _contact(name, robot)
+        files[f"termination/{name}_contact.yaml"] = f"""# A link that should not touch the ground touches something.
+{name}_contact:
+  _target_: wheelleg_exp.mdp.terminations.illegal_contact
+  threshold: {_threshold(robot)}    # N, of a weight of {robot.facts.weight:.3g} N
+  sensor_cfg:
+    {_ENTITY}
+    name: contact_forces
+    body_names: {names(robot.raised_bodies, 6, 16)}
+"""
     return files
 
 
@@ -205,7 +213,7 @@ def _leg_scale(robot: Survey) -> float:
 
 
 def _leg_positions(name: str, robot: Survey) -> str:
-    endless = [name for name in robot.legs if robot.dofs[name].range is None]
+    endless = [joint for joint in robot.legs if robot.dofs[joint].range is None]
     clip = f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
     return f"""# Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance.
 {name}_leg_pos:
@@ -215,18 +223,6 @@ def _leg_positions(name: str, robot: Survey) -> str:
     name: robot
     joint_names: {names(robot.legs, 6, 17)}
 {clip}"""
-
-
-def _contact(name: str, robot: Survey) -> str:
-    return f"""# A link that should not touch the ground touches something.
-{name}_contact:
-  _target_: wheelleg_exp.mdp.terminations.illegal_contact
-  threshold: {_threshold(robot)}    # N, of a weight of {robot.facts.weight:.3g} N
-  sensor_cfg:
-    {_ENTITY}
-    name: contact_forces
-    body_names: {names(robot.raised_bodies, 6, 16)}
-"""
 
 
 def _upright(name: str, robot: Survey) -> str:

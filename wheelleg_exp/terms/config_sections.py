@@ -107,10 +107,8 @@ def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[Co
     for absent in keys.values():
         if absent.required and absent.name not in node:
             errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
-    return errors or _broken_rules(path, node, options)
-
-
-def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    if errors:
+        return errors
     given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
     broken = (found for rule in rules_of(options) for found in rule(given))
     return [

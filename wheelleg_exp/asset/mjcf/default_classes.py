@@ -179,7 +179,12 @@ class Classes:
         names = list(names)
         found = {self.roles.get(name, "") for name in names}
         role = found.pop() if len(found) == 1 else ""
-        return role if role == WHEEL else _words_in_common(names) or role
+        if role == WHEEL:
+            return role
+        split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
+        shared = [word for word in split[0] if all(word in words for words in split[1:])]
+        words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
+        return "_".join(word for word in words if word.lower() not in EMPTY_WORDS) or role
 
     def _needed(self, name: str) -> bool:
         return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
@@ -224,13 +229,6 @@ def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> 
         if key:
             groups.setdefault(key, []).append(name)
     return [names for names in groups.values() if len(names) > 1]
-
-
-def _words_in_common(names: list[str]) -> str:
-    split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
-    shared = [word for word in split[0] if all(word in words for words in split[1:])]
-    words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
-    return "_".join(word for word in words if word.lower() not in EMPTY_WORDS)
 
 
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)

@@ -94,21 +94,10 @@ GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show groups 0 to 2 by de
 
 Attributes = dict[str, Value]
 PLAIN: Attributes = {  # The MJCF omits attributes that equal these defaults of MuJoCo.
-    "solref": (0.02, 1.0),
-    "solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
-    "solreflimit": (0.02, 1.0),
-    "solimplimit": (0.9, 0.95, 0.001, 0.5, 2.0),
-    "solreffriction": (0.02, 1.0),
-    "solimpfriction": (0.9, 0.95, 0.001, 0.5, 2.0),
-    "condim": 3,
-    "priority": 0,
-    "solmix": 1.0,
-    "margin": 0.0,
-    "gap": 0.0,
-    "stiffness": 0.0,
-    "damping": 0.0,
-    "armature": 0.0,
-    "frictionloss": 0.0,
+    **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (0.02, 1.0)),
+    **dict.fromkeys(("solimp", "solimplimit", "solimpfriction"), (0.9, 0.95, 0.001, 0.5, 2.0)),
+    **dict.fromkeys(("margin", "gap", "stiffness", "damping", "armature", "frictionloss"), 0.0),
+    **{"condim": 3, "priority": 0, "solmix": 1.0},
 }
 
 

@@ -48,64 +48,46 @@ class Element:
 def parse_xml(source: Path, data: bytes) -> Element:
     """Return the root element of an XML file's bytes."""
     start = len(data) - len(data.lstrip(b" \t\r\n"))
-    return _Parser(source, data[:start].count(b"\n")).parse(data[start:])
+    skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
+    elements: list[Element] = []
+    stack: list[tuple[Element, list[str]]] = []  # open elements, each with the parts of its text
 
+    def refuse(message: str, expected: str) -> NoReturn:
+        raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
 
-class _Parser:
-    def __init__(self, source: Path, skipped_lines: int) -> None:
-        self.source, self.skipped = source, skipped_lines
-        self.stack: list[tuple[Element, list[str]]] = []
-        self.count = 0
-        self.root: Element | None = None
-        self.expat = expat.ParserCreate()
-        self.expat.buffer_text = True
-        self.expat.StartElementHandler = self._start
-        self.expat.EndElementHandler = self._end
-        self.expat.CharacterDataHandler = self._text
-        self.expat.StartDoctypeDeclHandler = self._doctype
+    def open_element(tag: str, attributes: dict[str, str]) -> None:
+        elements.append(Element(tag, attributes, parser.CurrentLineNumber + skipped))
+        if stack:
+            stack[-1][0].children.append(elements[-1])
+        stack.append((elements[-1], []))
+        if len(elements) > MOST_ELEMENTS:
+            refuse(f"there are more than {MOST_ELEMENTS:,} elements", "one robot")
+        if len(stack) > DEEPEST:
+            refuse(f"elements are nested more than {DEEPEST} levels deep", "fewer levels")
 
-    def parse(self, data: bytes) -> Element:
-        try:
-            self.expat.Parse(data, True)
-        except expat.ExpatError as error:
-            where = f"{self.source}:{error.lineno + self.skipped}"
-            reason = expat.errors.messages[error.code]
-            raise AssetError(f"'{self.source.name}' is not valid XML: {reason}", where=where) from None
-        except (LookupError, ValueError) as error:  # unknown encoding
-            raise AssetError(f"'{self.source.name}' is not valid XML: {error}", where=str(self.source)) from None
-        assert self.root is not None
-        return self.root
-
-    def _line(self) -> int:
-        return self.expat.CurrentLineNumber + self.skipped
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, attributes, self._line())
-        if self.stack:
-            self.stack[-1][0].children.append(element)
-        else:
-            self.root = element
-        self.stack.append((element, []))
-        self.count += 1
-        if self.count > MOST_ELEMENTS:
-            self._refuse(f"there are more than {MOST_ELEMENTS:,} elements", "one robot")
-        if len(self.stack) > DEEPEST:
-            self._refuse(f"elements are nested more than {DEEPEST} levels deep", "fewer levels")
-
-    def _end(self, _: str) -> None:
-        element, parts = self.stack.pop()
+    def close_element(_: str) -> None:
+        element, parts = stack.pop()
         element.text = "".join(parts)
 
-    def _text(self, text: str) -> None:
-        if self.stack:
-            self.stack[-1][1].append(text)
+    def add_text(text: str) -> None:
+        if stack:
+            stack[-1][1].append(text)
 
-    # XML entities, which need a document type, can grow without limit or read other files.
-    def _doctype(self, *_: object) -> None:
-        self._refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
+    def refuse_doctype(*_: object) -> None:
+        # XML entities, which need a document type, can grow without limit or read other files.
+        refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
 
-    def _refuse(self, message: str, expected: str) -> NoReturn:
-        raise AssetError(message, where=f"{self.source}:{self._line()}", expected=expected)
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = open_element, close_element
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = add_text, refuse_doctype
+    try:
+        parser.Parse(data[start:], True)
+    except expat.ExpatError as error:
+        where, reason = f"{source}:{error.lineno + skipped}", expat.errors.messages[error.code]
+        raise AssetError(f"'{source.name}' is not valid XML: {reason}", where=where) from None
+    except (LookupError, ValueError) as error:  # unknown encoding
+        raise AssetError(f"'{source.name}' is not valid XML: {error}", where=str(source)) from None
+    return elements[0]
 
 
 SHOWN_TEXT = 60  # characters in a message

@@ -134,7 +134,7 @@ LONGEST = 200  # characters of a value
 
 def audit(stage: Stage) -> None:
     """Record every authored physics property, applied schema, and prim that the converter has not read."""
-    for prim in _everything(stage):
+    for prim in {p.GetPath(): p for p in (*stage.prims, *stage.physics_scenes, *_materials(stage))}.values():
         kind = str(prim.GetTypeName())
         reason = why_kind(kind)
         if reason and not stage.ledger.knows(path := prim.GetPath(), kind):
@@ -161,11 +161,6 @@ def audit(stage: Stage) -> None:
                 prop = prim.GetProperty(name)
                 stage.ledger.leave(prim.GetPath(), name, _why(stage, prim, prop), _text(prop))
     _outside(stage)
-
-
-def _everything(stage: Stage) -> Iterator[Usd.Prim]:
-    prims = [*stage.prims, *stage.physics_scenes, *_materials(stage)]
-    yield from {prim.GetPath(): prim for prim in prims}.values()
 
 
 def _materials(stage: Stage) -> Iterator[Usd.Prim]:

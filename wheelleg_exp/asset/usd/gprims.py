@@ -184,7 +184,9 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
     mesh = UsdGeom.Mesh(prim)
     points = _points(mesh)
     counts, indices = (_integers(a.Get()) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
-    if points is None or counts is None or indices is None or not _consistent(len(points), counts, indices):
+    if points is None or counts is None or indices is None or (counts < 0).any() or counts.sum() != len(indices):
+        return None
+    if len(indices) and not (indices.min() >= 0 and indices.max() < len(points)):
         return None
     holes = _integers(mesh.GetHoleIndicesAttr().Get())
     holes = None if holes is None else holes[(holes >= 0) & (holes < len(counts))]
@@ -213,12 +215,6 @@ def _integers(value: object) -> NDArray[np.int64] | None:
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
         return None
     return array.astype(np.int64)
-
-
-def _consistent(points: int, counts: NDArray[np.int64], indices: NDArray[np.int64]) -> bool:
-    if (counts < 0).any() or counts.sum() != len(indices):
-        return False
-    return not len(indices) or bool(indices.min() >= 0 and indices.max() < points)
 
 
 def _area(vertices: Array, faces: NDArray[np.int64]) -> float:

@@ -123,7 +123,8 @@ def number_of(prim: Usd.Prim, name: str) -> float:
 def _wrong(value: Any, kind: ValueKind | None) -> str:
     """Return the text of an error message for an invalid USD value, or an empty string for a valid value."""
     if kind is None or kind.what in ("flag", "text"):
-        if _has_nan(value):
+        numbers = np.zeros(0) if isinstance(value, str) else np.asarray(value)
+        if numbers.dtype.kind == "f" and np.isnan(numbers).any():
             return "is not a number (NaN)"
         fits = kind is None or (
             isinstance(value, str) if kind.what == "text" else isinstance(value, (int, float)) and value in (0, 1)
@@ -139,13 +140,6 @@ def _wrong(value: Any, kind: ValueKind | None) -> str:
     if not kind.endless and (np.abs(array) >= HUGEST).any():
         return "is infinite or larger than any robot's"
     return ""
-
-
-def _has_nan(value: Any) -> bool:
-    if isinstance(value, str):
-        return False
-    array = np.asarray(value)
-    return array.dtype.kind == "f" and bool(np.isnan(array).any())
 
 
 def _shown(value: Any) -> str:

@@ -100,7 +100,8 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     The function returns None, which means MuJoCo's default, for files with MuJoCo's own USD schemas.
     """
     # As in PhysX, the shape's own material overrides the scene's default material, which overrides a constant.
-    material = physics_material(stage, prim) or _scene_material(stage)
+    defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
+    material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:
         if any(name.startswith("Mjc") for scene in stage.physics_scenes for name in schemas(scene)):
             return None
@@ -121,14 +122,6 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
 
 
 PHYSX_FRICTION = 0.5
-
-
-def _scene_material(stage: Stage) -> Usd.Prim | None:
-    for scene in stage.physics_scenes:
-        material = physics_material(stage, scene)
-        if material is not None:
-            return material
-    return None
 
 
 _NO_PLACE = {

@@ -8,10 +8,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Sdf, UsdGeom, UsdPhysics
 
 from wheelleg_exp.asset.robot_description import Extra, Geom, Mesh, Numbered, Rgba, file_stem, unique_names
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
@@ -174,8 +174,10 @@ def read_filters(
     for part in quiet or ():
         inside = {path for path, piece in solid.items() if piece.link and piece.link.path in part}
         rules.add(inside, inside)
+    touching = [joint.links for joint in joints if not joint.may_collide]
+    joined = [(first.name, second.name) for first, second in touching if first and second]
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
-    pairs = {_ordered(order, a, b): None for a, b in (*_joined(joints), *bare)}
+    pairs = {_ordered(order, a, b): None for a, b in (*joined, *bare)}
     # MJCF excludes of bodies are easier to read than collision bits, so bits are used only if necessary.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
@@ -204,13 +206,6 @@ def read_filters(
 
 def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
     return (a, b) if order[a] <= order[b] else (b, a)
-
-
-def _joined(joints: list[Joint]) -> Iterator[tuple[str, str]]:
-    for joint in joints:
-        first, second = joint.links
-        if first and second and not joint.may_collide:
-            yield first.name, second.name
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
@@ -257,21 +252,17 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
         taken |= dict.fromkeys(inside - double, group.GetPath())
     table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage.usd)
     for group in groups:
-        _account(stage, group.GetPrim(), len(members[group.GetPath()]))
+        place, count = group.GetPath(), len(members[group.GetPath()])
+        stage.ledger.mapped(place, "PhysicsCollisionGroup", f"contact excludes of {count} colliders")
+        for name in (prop.GetName() for prop in group.GetPrim().GetAuthoredProperties()):
+            if name in GROUP_PROPERTIES or name.startswith("collection:colliders"):
+                stage.ledger.mapped(place, name, "contact excludes")
     for first, second in combinations_with_replacement([group.GetPath() for group in groups], 2):
         if not table.IsCollisionEnabled(first, second):
             rules.add(members[first], members[second])
 
 
 GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:invertFilteredGroups")
-
-
-def _account(stage: Stage, prim: Usd.Prim, count: int) -> None:
-    path = prim.GetPath()
-    stage.ledger.mapped(path, "PhysicsCollisionGroup", f"contact excludes of {count} colliders")
-    for prop in prim.GetAuthoredProperties():
-        if prop.GetName() in GROUP_PROPERTIES or prop.GetName().startswith("collection:colliders"):
-            stage.ledger.mapped(path, prop.GetName(), "contact excludes")
 
 
 def _body_pairs(
@@ -294,15 +285,9 @@ def _body_pairs(
     for first, second in combinations_with_replacement(alike, 2):
         apart = [(a, b) in forbidden for a in first for b in second]
         if any(apart):
-            (whole if all(apart) else partly).extend(_products(alike[first], alike[second]))
+            one, other = alike[first], alike[second]
+            (whole if all(apart) else partly).extend(combinations(one, 2) if one is other else product(one, other))
     return whole, partly
-
-
-def _products(first: list[str], second: list[str]) -> Iterator[tuple[str, str]]:
-    if first is second:
-        yield from ((a, b) for i, a in enumerate(first) for b in first[i + 1 :])
-    else:
-        yield from ((a, b) for a in first for b in second)
 
 
 SWITCHES = ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnabled")

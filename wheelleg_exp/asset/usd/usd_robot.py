@@ -155,17 +155,14 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
         self_collision=touching,
         breadth_first_dofs=_breadth_first(tree, dofs),
     )
-    robot = shortened(stage, _integrated(stage, with_mujoco(stage, links, robot)))
+    robot = with_mujoco(stage, links, robot)
+    if "integrator" not in robot.option and any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
+        # MuJoCo's default integrator is unstable with stiff drives.
+        stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
+        robot = replace(robot, option={**robot.option, "integrator": "implicitfast"})
+    robot = shortened(stage, robot)
     audit(stage)
     return robot
-
-
-def _integrated(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Set an implicit integrator for drives, as in PhysX; MuJoCo's default is unstable with stiff drives."""
-    if "integrator" in robot.option or not any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
-        return robot
-    stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
-    return replace(robot, option={**robot.option, "integrator": "implicitfast"})
 
 
 def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[desc.Dof, ...]]) -> tuple[str, ...]:

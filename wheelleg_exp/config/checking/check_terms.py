@@ -161,20 +161,15 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
             continue
         for name, value in node.items():
             kind = named_section(section, name)
-            if kind is not None and isinstance(value, str):
-                errors += _unknown_term(config, kind, f"{path}.{name}", value)
+            known = [str(term) for term in section_at(config, f"env.{kind}")]
+            if kind is None or not isinstance(value, str) or value in known:
+                continue
+            message, key = f"there is no {kind.removesuffix('s')} '{value}'", f"{path}.{name}"
+            expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
+            error = UnknownName(message, key=key, expected=expected, nearest=nearest_name(value, known))
+            error.named = f"env.{kind}.{value}"
+            errors.append(error)
     return errors
-
-
-def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> list[ConfigError]:
-    known = [str(term) for term in section_at(config, f"env.{kind}")]
-    if name in known:
-        return []
-    what = kind.removesuffix("s")
-    expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
-    error = UnknownName(f"there is no {what} '{name}'", key=key, expected=expected, nearest=nearest_name(name, known))
-    error.named = f"env.{kind}.{name}"
-    return [error]
 
 
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:

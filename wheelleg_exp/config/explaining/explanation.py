@@ -104,7 +104,9 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
     while waiting:
         here, text = waiting.pop(0)
         for match in _REFERENCE.finditer(str(text)):
-            found = _absolute(match.group(1).strip(), here)
+            name = match.group(1).strip()
+            dots = len(name) - len(name.lstrip("."))  # ``.x`` names a sibling of the value.
+            found = (*here[: len(here) - dots], *split_path(name[dots:])) if dots else split_path(name)
             if found in seen:
                 continue
             seen.add(found)
@@ -114,12 +116,6 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
             yield Reference(
                 dotted(found), at(composed.config, found), written, composed.provenance.where(dotted(found))
             )
-
-
-def _absolute(text: str, keys: Keys) -> Keys:
-    """Return the absolute keys of a reference in the value at ``keys``; ``.x`` names a sibling of the value."""
-    dots = len(text) - len(text.lstrip("."))
-    return split_path(text) if dots == 0 else (*keys[: len(keys) - dots], *split_path(text[dots:]))
 
 
 Kind = Literal["value", "term", "section", "group", "not set", "not selected", "removed"]
@@ -253,8 +249,11 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
-    has_place = isinstance(at(tree, keys[:-1]), Mapping) or bool(key_slots.slots(tree, keys[:-1]))
-    if slot is None or not has_place or key_slots.section_of(keys) is not None or _is_misspelled(tree, keys):
+    named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
+    # In a mapping that accepts any name, a key that is similar to an existing key is treated as misspelled.
+    near = nearest_name(keys[-1], map(str, parent)) if isinstance(parent, Mapping) and not named else None
+    has_place = bool(named) or (isinstance(parent, Mapping) and near is None)
+    if slot is None or not has_place or key_slots.section_of(keys) is not None:
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
         return None  # The parent section accepts any key, but no config file sets the requested key.
@@ -269,13 +268,6 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
         meanings=notes,
         alternatives=alternatives(tree, keys, slot),
     )
-
-
-def _is_misspelled(tree: dict[str, Any], keys: Keys) -> bool:
-    """Return whether a key is similar to an existing key of a mapping that accepts any name."""
-    node = at(tree, keys[:-1])
-    named = key_slots.slots(tree, keys[:-1])
-    return not named and isinstance(node, Mapping) and nearest_name(keys[-1], map(str, node)) is not None
 
 
 def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
