@@ -15,7 +15,7 @@ from typing import Any
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.explaining.key_documentation import FIELDS, KEYS, meaning_of, parameter_lines
-from wheelleg_exp.config.tree_lookup import at
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import PARAMETERS, agent_options
 from wheelleg_exp.terms import term_binding
@@ -66,7 +66,8 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
         return Slot(_root(tree), reader=_name(_root(tree)))
     named = slots(tree, keys[:-1])
     if named:
-        return named.get(keys[-1]) or (Slot() if _has_unknown_target(at(tree, keys[:-1])) else None)
+        node = section_at(tree, keys[:-1])
+        return named.get(keys[-1]) or (Slot() if TARGET in node and target_of(node) is None else None)
     above = slot(tree, keys[:-1])
     element = None if above is None else _element(above, keys[-1])
     if element is None:
@@ -126,10 +127,6 @@ def target_of(node: Any) -> Callable[..., Any] | None:
         return resolve_target(str(name), "") if name is not None else None
     except ConfigError:
         return None
-
-
-def _has_unknown_target(node: Any) -> bool:
-    return isinstance(node, Mapping) and TARGET in node and target_of(node) is None
 
 
 def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:

@@ -142,8 +142,10 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
     at an action of 0: the error is gravity's torque over kp, minus the action's offset. Joints of closed loops are not
     checked, because several joints share the load. Source: statics, tau = -J^T F.
     """
+    legs = case.robot.anatomy.legs if case.robot is not None else ()
+    looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
     for group, joints in _groups(case).items():
-        joints = {name: joint for name, joint in joints.items() if name not in _in_loops(case)}
+        joints = {name: joint for name, joint in joints.items() if name not in looped}
         if not joints:
             continue
         largest = max(abs(joint.hold) for joint in joints.values())
@@ -177,11 +179,6 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
                 {"stiffness": found_drive.stiffness, "load": abs(load), "sag_rad": sags[name]},
                 ({key: stiffness},),
             )
-
-
-def _in_loops(case: Case) -> set[str]:
-    legs = case.robot.anatomy.legs if case.robot is not None else ()
-    return {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
 
 
 @rule

@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.rigid_geometry import rotation_matrix
-from wheelleg_exp.asset.robot_description import Drive, RobotDescription
+from wheelleg_exp.asset.robot_description import RobotDescription
 from wheelleg_exp.errors import AssetError
 
 RELATIVE = 1e-9
@@ -139,12 +139,11 @@ def with_force_gains(robot: RobotDescription) -> RobotDescription:
     inertia = {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}
     bodies = []
     for body in robot.bodies:
-        dofs = [replace(d, drive=_scaled(d.drive, inertia[d.name])) if d.drive else d for d in body.dofs]
+        dofs = []
+        for dof in body.dofs:
+            drive, load = dof.drive, inertia[dof.name]
+            if drive and drive.acceleration:
+                drive = replace(drive, stiffness=drive.stiffness * load, damping=drive.damping * load)
+            dofs.append(replace(dof, drive=drive))
         bodies.append(replace(body, dofs=tuple(dofs)))
     return replace(robot, bodies=tuple(bodies))
-
-
-def _scaled(drive: Drive, inertia: float) -> Drive:
-    if not drive.acceleration:
-        return drive
-    return replace(drive, stiffness=drive.stiffness * inertia, damping=drive.damping * inertia)

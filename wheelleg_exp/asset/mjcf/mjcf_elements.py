@@ -44,7 +44,9 @@ class Element:
                 continue
             if item.comment:
                 lines.append(_comment(item.comment, pad))
-            lines.append(f"{pad}<{item.tag}{item._head()}{'>' if item.children else '/>'}")
+            given = {key: value_text(value) for key, value in item.attributes.items() if value is not None}
+            head = "".join(f" {key}={quoteattr(text)}" for key, text in given.items())
+            lines.append(f"{pad}<{item.tag}{head}{'>' if item.children else '/>'}")
             if item.children:
                 stack.append((item.tag, depth))
                 stack.extend((child, depth + 1) for child in reversed(item.children))
@@ -57,9 +59,6 @@ class Element:
             deepest += 1
             level = [child for element in level for child in element.children]
         return deepest
-
-    def _head(self) -> str:
-        return "".join(f" {key}={quoteattr(value_text(v))}" for key, v in self.attributes.items() if v is not None)
 
 
 def _comment(text: str, pad: str) -> str:

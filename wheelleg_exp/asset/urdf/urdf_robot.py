@@ -33,7 +33,8 @@ Range = tuple[float, float]
 def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[desc.Dof, ...]:
     """Return the degrees of freedom of a joint; an empty tuple for a fixed or floating joint."""
     axes = seen.axes if joint.kind != "floating" else ()
-    document.ledger.mapped(joint.element.path, "joint", _became(joint, axes))
+    made = f"joint {joint.name} ({', '.join(axis.kind for axis in axes)})" if axes else "a weld to the parent body"
+    document.ledger.mapped(joint.element.path, "joint", "freejoint" if joint.kind == "floating" else made)
     suffixes = PLANAR if joint.kind == "planar" else ("",)
     if not axes:
         return ()
@@ -47,14 +48,6 @@ def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[desc.Dof, ...
             _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
         )
     return tuple(_dof(document, joint, axis, suffix, limits) for axis, suffix in zip(axes, suffixes, strict=True))
-
-
-def _became(joint: Joint, axes: tuple[Axis, ...]) -> str:
-    if joint.kind == "floating":
-        return "freejoint"
-    if not axes:
-        return "a weld to the parent body"
-    return f"joint {joint.name} ({', '.join(axis.kind for axis in axes)})"
 
 
 def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> desc.Dof:
@@ -145,11 +138,9 @@ def _effort(document: Document, joint: Joint, element: Element) -> Range | None:
     if value is not None and math.isfinite(value) and is_placeholder(value):
         document.ledger.find("placeholder_effort", joint.name, joint.element.path, value=value)
     limit = effort_limit(None if value is None else abs(value))
-    if limit is None:
-        if value is not None:
-            document.ledger.leave(element.path, "effort", "zero, infinite or huge, which means not given", value)
-        return None
-    return -limit, limit
+    if limit is None and value is not None:
+        document.ledger.leave(element.path, "effort", "zero, infinite or huge, which means not given", value)
+    return None if limit is None else (-limit, limit)
 
 
 def _velocity(document: Document, joint: Joint, element: Element) -> float | None:
@@ -215,7 +206,17 @@ def read_urdf(source: Path, base: desc.BaseMode) -> tuple[desc.RobotDescription,
     """Read a URDF file into a robot description and a conversion report."""
     document = open_document(source)
     robot, files = _Builder(document, base).build()
-    return robot, summarise(document, robot, files)
+    report = report_of(
+        robot,
+        document.ledger,
+        source=document.source.name,
+        root=document.root.path,
+        stage=dict(SI),
+        variants={},
+        unresolved=tuple(files.missing),
+        layers=dict(sorted(files.hashes.items())),
+    )
+    return robot, report
 
 
 def source_files(source: Path) -> dict[str, str]:
@@ -271,12 +272,13 @@ class _Builder:
             stack.extend(reversed(children.get(body.name, [])))
         single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
         joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
+        joined = [j for j in tree.joints.values() if j.parent is not tree.world and j.kind != "floating"]
         robot = desc.RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
             bodies=tuple(out),
             gravity=(0.0, 0.0, -EARTH),
             static_geoms=self.shapes.geoms[tree.world.name] if tree.world else (),
-            exclusions=self._exclusions(),
+            exclusions=tuple((self.names[j.parent.name], self.names[j.child.name]) for j in joined),
             couplings=couplings(document, tree, single),
             materials=tuple(self.shapes.looks.used.values()),
             meshes=tuple(self.shapes.meshes.values()),
@@ -344,25 +346,3 @@ class _Builder:
         for item in reversed(chain):
             frame = frame @ Frame.of(self.seen[item.name].pose)
         return frame.pose()
-
-    # ------------------------------------------------------------ joints
-    def _exclusions(self) -> tuple[tuple[str, str], ...]:
-        pairs = []
-        for joint in self.tree.joints.values():
-            if joint.parent is not self.tree.world and joint.kind != "floating":
-                pairs.append((self.names[joint.parent.name], self.names[joint.child.name]))
-        return tuple(pairs)
-
-
-def summarise(document: Document, robot: desc.RobotDescription, files: Files) -> Report:
-    """Return the conversion report of a robot that was read from a URDF file."""
-    return report_of(
-        robot,
-        document.ledger,
-        source=document.source.name,
-        root=document.root.path,
-        stage=dict(SI),
-        variants={},
-        unresolved=tuple(files.missing),
-        layers=dict(sorted(files.hashes.items())),
-    )

@@ -161,17 +161,13 @@ class Shapes:
             shape = Shape("mesh", (), frame, vertices, faces)
             self._points += shape.points
             require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
-            return self._solid(placed, shape) if placed.collides else shape
+            flat = flat_to_box(shape) if placed.collides else shape  # MuJoCo uses the hull of a collider's mesh.
+            if flat is not shape:
+                self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
+            return flat
         kinds = [child.tag for child in geometry.children] if geometry else []
         self._left(placed, f"a shape of kind '{kinds[0]}' is not supported" if kinds else "it has no shape")
         return None
-
-    def _solid(self, placed: Placed, shape: Shape) -> Shape:
-        """Return the collision shape of a mesh: its hull, as in all of MuJoCo, or a thin box if it is flat."""
-        flat = flat_to_box(shape)
-        if flat is not shape:
-            self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
-        return flat
 
     def _left(self, placed: Placed, reason: str) -> None:
         element, ledger = placed.element, self.document.ledger

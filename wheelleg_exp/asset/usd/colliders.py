@@ -126,7 +126,9 @@ def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
 def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | None) -> Piece | None:
     solid = carrier is not None and stage.ledger.read(carrier, "physics:collisionEnabled", "the choice of colliders")
     collides = carrier is not None and solid is not False
-    drawn = _drawn(prim)
+    imageable = UsdGeom.Imageable(prim)
+    drawn = imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+    drawn = drawn and bool(imageable.ComputeVisibility() != UsdGeom.Tokens.invisible)
     if carrier is None and not drawn:
         stage.ledger.leave(prim.GetPath(), str(prim.GetTypeName()), "neither drawn nor solid")
         return None
@@ -157,13 +159,6 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
     if not collides and carrier is not None:
         stage.ledger.assume(prim.GetPath(), "collisionEnabled is 0: no contact, but it counts for the mass", "visual")
     return Piece(prim, link, shape, carrier, collides, drawn)
-
-
-def _drawn(prim: Usd.Prim) -> bool:
-    imageable = UsdGeom.Imageable(prim)
-    if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
-        return False
-    return bool(imageable.ComputeVisibility() != UsdGeom.Tokens.invisible)
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -112,15 +113,6 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
         chosen[name] = wanted
     sets = root.GetVariantSets()
     return {**chosen, **{name: sets.GetVariantSelection(name) for name in sorted(sets.GetNames())}}
-
-
-def unselected(root: Usd.Prim) -> Iterator[str]:
-    """Yield a warning for each variant set without a selection, because USD ignores all its variants."""
-    for name, options in variant_sets(root).items():
-        holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
-        if options and not holder.GetVariantSet(name).GetVariantSelection():
-            hint = f"--variant {name}=NAME takes one of {', '.join(options)}"
-            yield f"{holder.GetPath()}: no variant of '{name}' is selected; {hint}"
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
@@ -287,8 +279,11 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
-    for text in unselected(root):
-        stage.ledger.warn(text)
+    for name, options in variant_sets(root).items():  # USD ignores all variants of a set without a selection.
+        holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
+        if options and not holder.GetVariantSet(name).GetVariantSelection():
+            hint = f"--variant {name}=NAME takes one of {', '.join(options)}"
+            stage.ledger.warn(f"{holder.GetPath()}: no variant of '{name}' is selected; {hint}")
     top, ledger, name = stage.usd.GetPseudoRoot(), stage.ledger, stage.source.name
     for key, value in (("metersPerUnit", 0.01), ("upAxis", "Y")):
         if not top.HasAuthoredMetadata(key):
@@ -315,15 +310,10 @@ def _units(usd: Usd.Stage, source: Path) -> Units:
     return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 
-def _real_path(layer: Sdf.Layer) -> Path | None:
-    if layer.anonymous or not layer.realPath:
-        return None
-    return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
-
-
 def _hashes(usd: Usd.Stage, source: Path) -> dict[str, str]:
     folder = source.resolve().parent
-    files = {path for layer in usd.GetUsedLayers() if (path := _real_path(layer))}
+    paths = [layer.realPath for layer in usd.GetUsedLayers() if layer.realPath and not layer.anonymous]
+    files = {Path(Ar.SplitPackageRelativePathOuter(path)[0]) for path in paths}
     return {relative_name(path, folder): file_hash(path) for path in sorted(files)}
 
 
@@ -381,12 +371,8 @@ def gravity(stage: Stage) -> Vec3:
 def find_scene(stage: Stage) -> Usd.Prim | None:
     """Return MuJoCo's scene: the first PhysicsScene with MjcSceneAPI."""
     top = stage.usd.GetPseudoRoot()
-    near: Iterable[Usd.Prim] = top.GetChildren()
-    for prims in (near, Usd.PrimRange(top)):
-        for prim in prims:
-            if prim.IsA(UsdPhysics.Scene) and "MjcSceneAPI" in schemas(prim):
-                return prim
-    return None
+    prims = itertools.chain(top.GetChildren(), Usd.PrimRange(top))
+    return next((p for p in prims if p.IsA(UsdPhysics.Scene) and "MjcSceneAPI" in schemas(p)), None)
 
 
 def angle_in_radians(stage: Stage, value: float) -> float:

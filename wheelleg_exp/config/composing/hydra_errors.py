@@ -129,9 +129,13 @@ def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overr
     doubled = re.match(r"Multiple values for (\S+)\. |(\S+) appears more than once", text)
     if doubled:
         return _chosen_twice(doubled.group(1) or doubled.group(2), loader.repository_used, parsed)
-    early = _early_override(loader.repository_used) if isinstance(problem, AssertionError) else None
-    if early is not None:
-        return early
+    for loaded in loader.repository_used.loaded.values() if isinstance(problem, AssertionError) else ():
+        for entry, following in itertools.pairwise(lookup.defaults_entries(loaded.file)):
+            if entry.override and not following.override:
+                message = "this override comes before other entries of its defaults list"
+                expected = "overrides after all other entries, before _self_ at the end"
+                place = show_file(loaded.file, entry.line)
+                return ConfigError(message, key=entry.key.lstrip("/"), where=place, expected=expected)
     quoted = re.search(r"Could not (?:override|delete) '([^']+)'", text)
     key = quoted.group(1).split("=")[0] if quoted else None
     mounted = _mounted_names(loader.repository_used)
@@ -174,17 +178,6 @@ def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntr
     for path, loaded in repository.loaded.items():
         if "/" in path:
             yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))
-
-
-def _early_override(repository: Repository) -> ConfigError | None:
-    message = "this override comes before other entries of its defaults list"
-    expected = "overrides after all other entries, before _self_ at the end"
-    for loaded in repository.loaded.values():
-        for entry, following in itertools.pairwise(lookup.defaults_entries(loaded.file)):
-            if entry.override and not following.override:
-                where = show_file(loaded.file, entry.line)
-                return ConfigError(message, key=entry.key.lstrip("/"), where=where, expected=expected)
-    return None
 
 
 def _mounted_names(repository: Repository) -> list[str]:
@@ -351,7 +344,11 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return ConfigError(flat(problem), key=key, where=where, expected=f"~{key} without a value")
     strange = re.search(r"Key '(.+?)' is not in struct", str(problem.__cause__ or problem))
     if existing and strange:
-        return _unknown_part(shown, override, strange.group(1))
+        part, names = strange.group(1), [str(known) for known in lookup.section_at(shown, key)]
+        full = dotted([*split_path(key), part])
+        known = f"one of {', '.join(names)}; " if names else ""
+        expected, nearest = f"{known}+{full}=value adds one, ++{key}={{...}} merges", nearest_name(part, names)
+        return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
     # KEYS also contains optional keys, which no file has to set.
@@ -362,16 +359,6 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
     nearest = top or nearest_path(key, [dotted(path) for path in lookup.node_paths(shown)])
     expected = _expected_at(shown, key, groups)
     return AbsentKey("there is no such key", key=key, where=where, expected=expected, nearest=nearest)
-
-
-def _unknown_part(tree: dict[str, object], override: Override, name: str) -> ConfigError:
-    key = override.key_or_group
-    names = [str(known) for known in lookup.section_at(tree, key)]
-    full = dotted([*split_path(key), name])
-    known = f"one of {', '.join(names)}; " if names else ""
-    expected = f"{known}+{full}=value adds one, ++{key}={{...}} merges"
-    where, nearest = where_of(override), nearest_name(name, names)
-    return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
 
 
 def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> str:
