@@ -300,10 +300,8 @@ def make_importable(target: str) -> None:
     source = _joined[package].source(package)
     loaded = sys.modules.get(top)
     if loaded is not None and not Path(_place(loaded)).resolve().is_relative_to(source.resolve()):
-        raise ConfigError(
-            f"the package '{top}' has already been imported from elsewhere, {_place(loaded)}",
-            expected=f"the one in {source}",
-        )
+        message = f"the package '{top}' has already been imported from elsewhere, {_place(loaded)}"
+        raise ConfigError(message, expected=f"the one in {source}")
     _finder.sources[top] = source
     if _finder not in sys.meta_path:
         sys.meta_path.insert(0, _finder)

@@ -86,9 +86,7 @@ class _Problem:
         self.preferred = np.clip(self.data.qpos[self.places], self.low, self.high)
         self.spread = self.high - self.low
         self.base = model.body(anatomy.base).id
-        self.bodies = [
-            body for body in range(1, model.nbody) if model.body_rootid[body] == model.body_rootid[self.base]
-        ]
+        self.bodies = [b for b in range(1, model.nbody) if model.body_rootid[b] == model.body_rootid[self.base]]
         turned = {name for wheel in anatomy.standing for name in wheel.bodies}
         self.raised = [body for body in self.bodies if model.body(body).name not in turned]
         rotation = self.data.xmat[self.base].reshape(3, 3)

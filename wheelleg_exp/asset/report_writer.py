@@ -50,9 +50,8 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    solid = ((model.geom_contype | model.geom_conaffinity) != 0) & (
-        model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE.value
-    )
+    infinite = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
+    solid = ((model.geom_contype | model.geom_conaffinity) != 0) & ~infinite
     moving = model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value
     for body in robot.children(None):
         root = model.body(body.name).id

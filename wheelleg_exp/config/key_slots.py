@@ -170,10 +170,7 @@ def _target_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
 
 def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
     hints, lines = type_hints(target), parameter_lines(target)
-    return {
-        name: Slot(hints.get(name, Any), parameter.default, lines.get(name, ""), _name(target))
-        for name, parameter in parameters.items()
-    }
+    return {n: Slot(hints.get(n, Any), p.default, lines.get(n, ""), _name(target)) for n, p in parameters.items()}
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:

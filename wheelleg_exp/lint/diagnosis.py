@@ -68,10 +68,8 @@ def case_of_file(source: Path) -> Case:
             drives = _drives_of_mjcf(model)
             return _file_case(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
-        positions = {
-            dof.name: robots.default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"
-        }
         described = conversion.description
+        positions = {dof.name: robots.default_position(dof) for dof in described.dofs if dof.kind != "ball"}
         robot = robots.provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
         return _file_case(source, env, conversion.output, robot, conversion, drives, described.driven)
@@ -97,9 +95,8 @@ def _file_case(
     # Put the robot on the ground, because a robot file contains no spawn height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
-    found, facts = robots.compiled_robot(
-        model, scene.robot, conversion.report if conversion is not None else None, driven
-    )
+    report = conversion.report if conversion is not None else None
+    found, facts = robots.compiled_robot(model, scene.robot, report, driven)
     wheels = set(facts.wheels)
     joints = {}
     for name, joint in facts.joints.items():
@@ -298,10 +295,8 @@ def _self_collisions(robot: robots.CompiledRobot) -> list[str]:
         return []
     one, other = hidden[0].bodies
     count = "1 pair of bodies" if len(hidden) == 1 else f"{len(hidden)} pairs of bodies"
-    return [
-        f"self_collisions: true would start with {count} that overlap, the deepest '{one}' and '{other}' by "
-        f"{1e3 * hidden[0].depth:.3g} mm"
-    ]
+    note = f"self_collisions: true would start with {count} that overlap, the deepest '{one}' and '{other}' by "
+    return [note + f"{1e3 * hidden[0].depth:.3g} mm"]
 
 
 def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:

@@ -47,10 +47,8 @@ def armature_ratio(case: Case) -> Iterator[Finding]:
         if balance is not None and name in case.facts.wheels:
             figures |= {"pitch_inertia": balance.inertia, "pitch_ratio": joint.armature / balance.inertia}
             figures["translation_kg"] = joint.armature / case.facts.wheel_radius**2
-            extra = (
-                f", {figures['pitch_ratio']:.0f} times the pitch inertia of the parts above the wheels "
-                f"({balance.inertia:.3g}), and equivalent to {figures['translation_kg']:.0f} kg of translation"
-            )
+            extra = f", {figures['pitch_ratio']:.0f} times the pitch inertia of the parts above the wheels "
+            extra += f"({balance.inertia:.3g}), and equivalent to {figures['translation_kg']:.0f} kg of translation"
         yield Finding(
             f"env.robot.actuators.{group}.armature",
             f"{joint.armature:g} kg·m² is {ratio:.0f} times the load of {joint.inertia:.3g} kg·m² on '{name}'{extra}",
@@ -204,9 +202,8 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
         message = f"on '{name}' (I = {joint.effective:.3g} kg·m², dt = {dt:.4g} s) kd·dt/I is {a:.3g} and kp·dt²/I is "
         message += f"{b:.3g}: unstable, {'explicit' if explicit else 'implicit'} drives need {criterion}"
         hint = "an implicit drive, a finer env.sim.dt, more armature or smaller gains"
-        yield Finding(
-            f"env.robot.actuators.{group}.{key}", message, hint, {"a": a, "b": b, "inertia": joint.effective, "dt": dt}
-        )
+        figures = {"a": a, "b": b, "inertia": joint.effective, "dt": dt}
+        yield Finding(f"env.robot.actuators.{group}.{key}", message, hint, figures)
 
 
 @rule

@@ -169,9 +169,8 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
         message = f"the angle of {', '.join(endless)} has no bound: {angle:.0f} rad within an episode at the drive's "
         message += f"{speed:g} rad/s, and more in a longer run"
         hint = "asset_cfg without these joints, joint_pos_sin_cos for them, or a clip"
-        yield Finding(
-            term.path, message, hint, {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s}
-        )
+        figures = {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s}
+        yield Finding(term.path, message, hint, figures)
 
 
 @rule

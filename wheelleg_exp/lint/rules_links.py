@@ -91,9 +91,8 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     lost = [text for text in report.warnings if _LOST.search(text) and not LOST_MESH.search(text)] if report else []
     if lost:
         shown = "; ".join(lost[:_MOST]) + (f"; and {len(lost) - _MOST} more" if len(lost) > _MOST else "")
-        yield Finding(
-            _ASSET, shown, "correct the file: `wheelleg convert` shows all warnings", {"lost": float(len(lost))}
-        )
+        hint = "correct the file: `wheelleg convert` shows all warnings"
+        yield Finding(_ASSET, shown, hint, {"lost": float(len(lost))})
 
 
 _LIGHT = 2.0  # The smallest density of a robot, kg/m³, in a cube as long as the robot.

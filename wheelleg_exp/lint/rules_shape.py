@@ -37,16 +37,13 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
     acting = [pair for pair in pairs if pair.acts and not pair.neighbours and pair.depth > _TOUCHES * size]
     if acting:
-        pairs_text = ", ".join(
-            f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_SHOWN]
-        )
+        texts = [f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_SHOWN]]
         more = f", and {len(acting) - _SHOWN} more pairs" if len(acting) > _SHOWN else ""
-        message = f"bodies overlap at the start and will be thrown apart: {pairs_text}{more}"
+        message = f"bodies overlap at the start and will be thrown apart: {', '.join(texts)}{more}"
         hint = "env.robot.self_collisions: false lets them pass through each other; or another default pose, smaller "
         hint += "colliders, or these pairs filtered in the file"
-        yield Finding(
-            "env.robot.self_collisions", message, hint, {"pairs": float(len(acting)), "depth_m": acting[0].depth}
-        )
+        figures = {"pairs": float(len(acting)), "depth_m": acting[0].depth}
+        yield Finding("env.robot.self_collisions", message, hint, figures)
     for pair in pairs:
         if pair.neighbours and pair.depth > _DEEP * size:
             message = f"'{pair.bodies[1]}' is {1e3 * pair.depth:.3g} mm deep inside its parent '{pair.bodies[0]}': "
@@ -150,9 +147,8 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     pose = balanced_pose(robot)
     figures = {"offset_m": weight.ahead, "lean_rad": weight.lean, "height_m": weight.above}
     if pose is not None:
-        hint = "with a level base, the centre of mass is over the axle at " + ", ".join(
-            f"{name}: {value:g}" for name, value in pose.items()
-        )
+        positions = ", ".join(f"{name}: {value:g}" for name, value in pose.items())
+        hint = f"with a level base, the centre of mass is over the axle at {positions}"
         key = "env.robot.init_state.joint_pos"
     else:
         hint = f"start with the base turned by {-weight.lean:.3g} rad about its left axis, or move the masses"
@@ -239,9 +235,7 @@ def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
     """Return whether the last joints of two legs about the wheels' axle have equal signs, or no such joints exist."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
-    signs = {
-        name: pair.sign for pair in anatomy.mirrored if pair.left != pair.right for name in (pair.left, pair.right)
-    }
+    signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
     alike = [signs[name] > 0 for name in chain if name in signs and abs(float(_axis(robot, name) @ left)) > _ALONG]
     return not alike or alike[-1]
 
@@ -285,9 +279,8 @@ def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
         message = f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
         message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
-        yield Finding(
-            _ASSET, message, _HINT, {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(displaced))}
-        )
+        figures = {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(displaced))}
+        yield Finding(_ASSET, message, _HINT, figures)
     findings = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
     yield from findings[:_MOST]
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
@@ -369,8 +362,6 @@ def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             wrong.append((pair, robot.position(pair.left), robot.position(pair.right), wanted))
     if wrong:
         positions = ", ".join(f"{p.left} at {a:.4g} and {p.right} at {b:.4g}" for p, a, b, _ in wrong[:_MOST])
-        hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST])
+        hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST]) + " mirrors the left side"
         message = f"the default pose is asymmetric: {positions}"
-        yield Finding(
-            "env.robot.init_state.joint_pos", message, f"{hint} mirrors the left side", {"pairs": float(len(wrong))}
-        )
+        yield Finding("env.robot.init_state.joint_pos", message, hint, {"pairs": float(len(wrong))})

@@ -99,15 +99,12 @@ _PURPOSES = {
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
     """Return the texts of a project by path; ``asset`` and ``configs`` are relative to its asset and config folders."""
-    rows = [
-        f"| `configs/{file}` | {_PURPOSES[group]} |" for file in configs if (group := file.split("/")[0]) in _PURPOSES
-    ]
+    groups = {file: file.split("/")[0] for file in configs}
+    rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
     folder = resources.files("wheelleg_exp.project") / "templates"
-    return {
-        _filled(file, words): _filled((folder / template).read_text(encoding="utf-8"), words)
-        for file, template in _TEMPLATES.items()
-    }
+    texts = {file: (folder / template).read_text(encoding="utf-8") for file, template in _TEMPLATES.items()}
+    return {_filled(file, words): _filled(text, words) for file, text in texts.items()}
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
@@ -203,10 +200,8 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
         if accepted:
             task = draft / projects.CONFIGS / "task" / f"{name}.yaml"
-            lines = "".join(
-                f"    {rule}: {json.dumps(f'a property of this robot: {text}', ensure_ascii=False)}\n"
-                for rule, text in accepted.items()
-            )
+            reasons = {rule: f"a property of this robot: {text}" for rule, text in accepted.items()}
+            lines = "".join(f"    {rule}: {json.dumps(text, ensure_ascii=False)}\n" for rule, text in reasons.items())
             task.write_text(task.read_text(encoding="utf-8") + lines, encoding="utf-8")
     finally:
         projects.forget(draft)

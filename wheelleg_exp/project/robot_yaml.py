@@ -160,9 +160,7 @@ def wheel_gains(robot: Survey) -> Gains:
         return effort
 
     effort, limited = _filled(robot, robot.wheels, file_effort, lambda _: _TRACTION * slips)
-    velocity, fast = _filled(
-        robot, robot.wheels, lambda name: _velocity(dofs[name]), lambda _: _GROUND_SPEED / robot.radius
-    )
+    velocity, fast = _filled(robot, robot.wheels, lambda n: _velocity(dofs[n]), lambda _: _GROUND_SPEED / robot.radius)
     found = {"damping": own, "effort": limited, "velocity": fast}
     none = dict.fromkeys(robot.wheels, 0.0)
     return Gains(none, damping, effort, velocity, [name for name, complete in found.items() if complete], refused)

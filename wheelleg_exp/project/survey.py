@@ -79,9 +79,8 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     if np.all((axes * near).sum(axis=1) >= _ALONG) and abs(np.linalg.det(near) - 1.0) < 1e-9:
         axes = near
     forward, left, up = axes
-    axes = np.array(
-        [math.cos(lean) * forward + math.sin(lean) * up, left, math.cos(lean) * up - math.sin(lean) * forward]
-    )
+    cos, sin = math.cos(lean), math.sin(lean)
+    axes = np.array([cos * forward + sin * up, left, cos * up - sin * forward])
     if np.allclose(axes, np.eye(3)):
         return None
     quat = np.empty(4)

@@ -196,10 +196,8 @@ def _tolerance(robot: Survey) -> float:
 def _wheel_scale(robot: Survey) -> float:
     """Return the wheel speed of one unit of action, rad/s, which takes a quarter of the torque at standstill."""
     gains = wheel_gains(robot)
-    return min(
-        min(max(_WHEEL_EFFORT * gains.effort[wheel] / gains.damping[wheel], 0.1 * gains.velocity[wheel]), top)
-        for wheel, top in gains.velocity.items()
-    )
+    wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
+    return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())
 
 
 def _leg_scale(robot: Survey) -> float:

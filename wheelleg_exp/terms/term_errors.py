@@ -70,9 +70,8 @@ def parameter_errors(section: str, term: binding.TermNode, target: Callable[...,
 def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]) -> list[ConfigError]:
     """Return the mistakes in a ``_target_`` node that is not a term: a sensor, an actuator, noise, an entity."""
     try:
-        term = binding.TermNode(
-            path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, binding.target_arguments(node, path)
-        )
+        parameters = binding.target_arguments(node, path)
+        term = binding.TermNode(path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, parameters)
     except ConfigError as error:
         return [error]
     return parameter_errors("commands", term, target)  # command terms have no fields that the manager reads

@@ -134,10 +134,8 @@ class Writer:
             if element.children:
                 root.children.append(element)
         if (depth := root.depth()) > DEEPEST:
-            raise AssetError(
-                f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
-                expected=f"at most {DEEPEST - 3}, MuJoCo's limit",
-            )
+            message = f"'{self.robot.name}' has a chain of about {depth - 3} bodies"
+            raise AssetError(message, expected=f"at most {DEEPEST - 3}, MuJoCo's limit")
         notes = self.notes.write()
         lines = [f"{self.robot.name}: SI units, radians, z up. Converted by 'wheelleg convert'."]
         if notes:

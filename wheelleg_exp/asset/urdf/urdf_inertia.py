@@ -94,9 +94,8 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> geomet
     if not parts:
         return None
     mass, middle = sum(part.mass for part in parts), geometry.combined_center(parts)
-    document.ledger.assume(
-        link.element.path, f"no mass: the colliders' volume, {geometry.WATER:g} kg/m³", f"{mass:.6g} kg"
-    )
+    rule = f"no mass: the colliders' volume, {geometry.WATER:g} kg/m³"
+    document.ledger.assume(link.element.path, rule, f"{mass:.6g} kg")
     return geometry.Part(mass, middle, geometry.combined_tensor(parts, mass, middle))
 
 

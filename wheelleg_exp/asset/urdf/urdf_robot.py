@@ -121,9 +121,8 @@ def _note_ignored(document: Document, joint: Joint, element: Element | None) -> 
         return
     path = joint.element.path
     document.ledger.find("limits_ignored", joint.name, path, lower=low, upper=high)
-    document.ledger.warn(
-        f"{path}: a continuous joint has no limits; the written limits {low:g} to {high:g} do not count"
-    )
+    text = f"a continuous joint has no limits; the written limits {low:g} to {high:g} do not count"
+    document.ledger.warn(f"{path}: {text}")
 
 
 def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:

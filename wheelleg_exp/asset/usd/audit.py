@@ -185,9 +185,8 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
     if name in _MASS:
         applied = schemas(prim)
         if "PhysicsRigidBodyAPI" in applied:
-            return (
-                "not needed: the mass is given" if name == "physics:density" else "it means not given: 0 or not finite"
-            )
+            weighed = name == "physics:density"
+            return "not needed: the mass is given" if weighed else "it means not given: 0 or not finite"
         if "PhysicsCollisionAPI" in applied:
             return "it means not given, or the body has its own mass properties"
         if "PhysicsMaterialAPI" in applied:

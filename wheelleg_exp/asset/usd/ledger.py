@@ -89,10 +89,7 @@ _EXPECTED = {
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
     """Return the required kind of a USD attribute by its full name, or None if any value is allowed."""
-    matching = (
-        kind for kind, patterns in _KINDS.items() for pattern in patterns.split() if re.fullmatch(pattern, name)
-    )
-    return next(matching, None)
+    return next((kind for kind, texts in _KINDS.items() if any(re.fullmatch(t, name) for t in texts.split())), None)
 
 
 def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
@@ -126,9 +123,8 @@ def _wrong(value: Any, kind: ValueKind | None) -> str:
         numbers = np.zeros(0) if isinstance(value, str) else np.asarray(value)
         if numbers.dtype.kind == "f" and np.isnan(numbers).any():
             return "is not a number (NaN)"
-        fits = kind is None or (
-            isinstance(value, str) if kind.what == "text" else isinstance(value, (int, float)) and value in (0, 1)
-        )
+        flag = isinstance(value, (int, float)) and value in (0, 1)
+        fits = kind is None or (isinstance(value, str) if kind.what == "text" else flag)
         return "" if fits else f"is {_shown(value)}"
     if (kind.what == "number") != (isinstance(value, (int, float)) and not isinstance(value, bool)):
         return f"is {_shown(value)}"
@@ -152,9 +148,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
         return value
     if isinstance(value, float):
-        return (
-            single(value) if math.isfinite(value) and abs(value) < 3e38 and float(np.float32(value)) == value else value
-        )
+        is_single = math.isfinite(value) and abs(value) < 3e38 and float(np.float32(value)) == value
+        return single(value) if is_single else value
     if isinstance(value, (Gf.Quatf, Gf.Quatd, Gf.Quath)):
         return tuple(plain(float(v)) for v in (value.GetReal(), *value.GetImaginary()))
     if isinstance(value, (Gf.Matrix2d, Gf.Matrix3d, Gf.Matrix4d)):
@@ -223,9 +218,8 @@ class Ledger:
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
         """Record a finding once for each kind, subject, and path; ``conversion_report`` lists the kinds and numbers."""
-        self._found[kind, subject, str(path)] = Finding(
-            kind, subject, str(path), {name: float(value) for name, value in numbers.items()}
-        )
+        plain_numbers = {name: float(value) for name, value in numbers.items()}
+        self._found[kind, subject, str(path)] = Finding(kind, subject, str(path), plain_numbers)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

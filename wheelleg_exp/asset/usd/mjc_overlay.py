@@ -218,22 +218,18 @@ COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")
 
 def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with the masses and inertias that result from the physics scene's compiler settings."""
-    values = {
-        name: stage.ledger.read(scene, f"mjc:compiler:{name}", "masses and inertias of the bodies")
-        for name in COMPILED_MASSES
-    }
+    became = "masses and inertias of the bodies"
+    values = {name: stage.ledger.read(scene, f"mjc:compiler:{name}", became) for name in COMPILED_MASSES}
     if not any(values.values()):
         return robot
-    bodies = robot.bodies
     least, smallest = values["boundMass"] or 0.0, values["boundInertia"] or 0.0
-    inertials = [_bounded(body.inertial, least, smallest) for body in bodies]
+    inertials = [_bounded(body.inertial, least, smallest) for body in robot.bodies]
     total, wanted = sum(inertial.mass for inertial in inertials), values["setTotalMass"] or 0.0
     if wanted > 0 and total > 0:
         stage.ledger.assume(scene.GetPath(), "mjc:compiler:setTotalMass scales all masses", f"{wanted / total:.6g}")
         inertials = [_scaled(inertial, wanted / total) for inertial in inertials]
-    return replace(
-        robot, bodies=tuple(replace(b, inertial=inertial) for b, inertial in zip(bodies, inertials, strict=True))
-    )
+    pairs = zip(robot.bodies, inertials, strict=True)
+    return replace(robot, bodies=tuple(replace(body, inertial=inertial) for body, inertial in pairs))
 
 
 def _bounded(inertial: desc.Inertial, least: float, smallest: float) -> desc.Inertial:

@@ -100,9 +100,8 @@ class Missing:
     @property
     def looks_only(self) -> bool:
         """Whether the missing file contains only visuals, judging by its suffix or by the prims that name the file."""
-        return bool(_NO_LAYER.search(self.name)) or all(
-            any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims
-        )
+        inside = (any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims)
+        return bool(_NO_LAYER.search(self.name)) or all(inside)
 
     @property
     def prim(self) -> Sdf.Path:

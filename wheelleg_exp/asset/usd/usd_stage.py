@@ -247,9 +247,8 @@ def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
         return AssetError(f"'{source.name}' cannot be read: {text}", where=str(source), expected=expected)
     path, line, _, expected, found = place.groups()
     message, where = f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}", f"{path}:{line}"
-    return AssetError(
-        message, where=where, expected=expected.removeprefix("Expected ").strip() if expected else "a valid USD layer"
-    )
+    expected = expected.removeprefix("Expected ").strip() if expected else "a valid USD layer"
+    return AssetError(message, where=where, expected=expected)
 
 
 def _complaint(error: Tf.ErrorException) -> str:

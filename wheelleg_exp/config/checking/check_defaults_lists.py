@@ -73,9 +73,7 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
 def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find files without a package line, whose content is therefore at a wrong key."""
     # A config file needs no `# @package` line if a defaults list mounts the file with `group@package`.
-    misplaced = {
-        file.config_path for file in files if file.package in (file.group.replace("/", "."), package_header(file.file))
-    }
+    misplaced = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
     found = missing_headers(composed.loader.repository_used, ())
     return [error for error in found if error.key in misplaced]
 

@@ -48,9 +48,8 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
             if isinstance(error, binding.NotSelected):
                 parent, _, name = path.rpartition(".")
                 terms = section_at(config, parent).items()
-                error.nearest = nearest_name(
-                    name, [str(term) for term, node in terms if isinstance(node, Mapping) and binding.TARGET in node]
-                )
+                selected = [str(t) for t, other in terms if isinstance(other, Mapping) and binding.TARGET in other]
+                error.nearest = nearest_name(name, selected)
             errors.append(error)
     return errors
 

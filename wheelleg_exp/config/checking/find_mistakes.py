@@ -164,16 +164,13 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
         return True
     if isinstance(error, AbsentKey) and "" in lost:
         return True
-    return is_at_or_below(key, lost) or (
-        isinstance(error, MissingValue) and any(name.startswith(f"{key}.") for name in lost)
-    )
+    above = isinstance(error, MissingValue) and any(name.startswith(f"{key}.") for name in lost)
+    return above or is_at_or_below(key, lost)
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
     """Return whether a key equals or is below one of ``places``. A place with a leading dot matches at any depth."""
-    return any(
-        f"{place}." in f".{key}." if place.startswith(".") else f"{key}.".startswith(f"{place}.") for place in places
-    )
+    return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
 def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list[ConfigError]:

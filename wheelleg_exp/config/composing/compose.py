@@ -64,10 +64,8 @@ def _unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
         found = _KEY.match(text)
         key, where = found[1] if found else "", f"override {text}"
         if _name(key) in _OF_SWEEPS:
-            message, expected = (
-                "this is a setting of a sweep, and this is one run",
-                "-m (--multirun) in addition, or neither",
-            )
+            message = "this is a setting of a sweep, and this is one run"
+            expected = "-m (--multirun) in addition, or neither"
             errors.append(ConfigError(message, key=key, where=where, expected=expected))
         elif is_unread(text):
             errors.append(unread_setting(key, where))

@@ -181,9 +181,7 @@ def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntr
 
 
 def _mounted_names(repository: Repository) -> list[str]:
-    keys = [
-        key for loaded in repository.loaded.values() for key, _ in _defaults_entries(loaded.file) if key is not None
-    ]
+    keys = [k for loaded in repository.loaded.values() for k, _ in _defaults_entries(loaded.file) if k is not None]
     return list(dict.fromkeys(key.split(" ")[-1].lstrip("/") for key in keys if not key.startswith("override ")))
 
 

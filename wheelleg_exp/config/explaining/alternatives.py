@@ -52,9 +52,8 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
     """Return the values that the key at ``keys`` accepts."""
     node = at(tree, keys)
     below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
-    absent = tuple(
-        (n, _plain(s.default)) for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED
-    )
+    unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
+    absent = tuple((name, _plain(s.default)) for name, s in unset.items())
     if slot is None:
         return Alternatives(keys=absent)
     return Alternatives(
@@ -247,9 +246,8 @@ def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
     listed = literal_values(slot.annotation) if slot is not None else literal_values(type(now))
     if key_slots.section_of(path) is not None:
         return ["null"]
-    return list(
-        dict.fromkeys([*map(_value_text, listed), *([_value_text(now)] if not isinstance(now, Mapping) else [])])
-    )
+    present = [] if isinstance(now, Mapping) else [now]
+    return list(dict.fromkeys(map(_value_text, [*listed, *present])))
 
 
 def _value_text(value: Any) -> str:

@@ -53,9 +53,7 @@ class LibraryTerm:
 
 def library() -> list[LibraryTerm]:
     """Return the public stock terms, section by section."""
-    return [
-        term for module, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{module}"))
-    ]
+    return [term for name, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{name}"))]
 
 
 def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:

@@ -156,10 +156,8 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
 
 
 def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
-    path = dotted(keys)
-    return PlacedChange(
-        kind, path, key_slots.section_of(keys) is not None, one, other, a.where(path), b.where(path), note
-    )
+    path, is_term = dotted(keys), key_slots.section_of(keys) is not None
+    return PlacedChange(kind, path, is_term, one, other, a.where(path), b.where(path), note)
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:

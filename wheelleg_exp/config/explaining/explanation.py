@@ -113,9 +113,8 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
             inner = at(tree, found)
             waiting.append((found, inner))
             written = inner if "${" in str(inner) else None
-            yield Reference(
-                dotted(found), at(composed.config, found), written, composed.provenance.where(dotted(found))
-            )
+            path = dotted(found)
+            yield Reference(path, at(composed.config, found), written, composed.provenance.where(path))
 
 
 Kind = Literal["value", "term", "section", "group", "not set", "not selected", "removed"]
@@ -220,9 +219,8 @@ def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanatio
     if term is not None and dotted(term) in composed.removed_terms:
         source = composed.provenance[dotted(term)]
         inside = [s for s in source.shadowed if split_path(s.path)[: len(keys)] == keys]
-        return Explanation(
-            path, "removed", sources=(*inside, source), meanings=meanings(tree, keys, None, source.shadowed)
-        )
+        notes = meanings(tree, keys, None, source.shadowed)
+        return Explanation(path, "removed", sources=(*inside, source), meanings=notes)
     deleted = {p: s for p, s in composed.provenance.deleted.items() if split_path(p)[: len(keys)] == keys}
     if deleted and not _is_there(tree, keys):
         first = next(iter(deleted.values()))
