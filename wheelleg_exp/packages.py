@@ -324,9 +324,7 @@ class _Finder(MetaPathFinder):
     def __init__(self) -> None:
         self.sources: dict[str, Path] = {}
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> ModuleSpec | None:
         source = self.sources.get(fullname) if path is None else None
         return PathFinder.find_spec(fullname, [str(source)], target) if source is not None else None
 

@@ -305,22 +305,10 @@ def default_position(dof: Dof) -> float:
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
     """Return an ``env.robot`` section without actuators; default positions, rad (m), are by joint."""
-    state = {
-        "pos": [0.0, 0.0, 0.0],
-        "rot": list(rotation),
-        "joint_pos": {name_expression(joint): value for joint, value in positions.items()},
-        "joint_vel": {},
-    }
-    return {
-        "profile": "survey",
-        "asset": name,
-        "base": "auto",
-        "init_state": state,
-        "joint_order": None,
-        "soft_joint_pos_limit_factor": 1.0,
-        "friction_source": "static",
-        "actuators": {},
-    }
+    joint_pos = {name_expression(joint): value for joint, value in positions.items()}
+    state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
+    settings = {"joint_order": None, "soft_joint_pos_limit_factor": 1.0, "friction_source": "static", "actuators": {}}
+    return {"profile": "survey", "asset": name, "base": "auto", "init_state": state, **settings}
 
 
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:

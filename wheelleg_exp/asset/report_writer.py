@@ -84,18 +84,11 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
     )
 
 
-def report_of(
-    robot: RobotDescription,
-    ledger: Ledger,
-    *,
-    source: str,
-    root: str,
-    stage: dict[str, Any],
-    variants: dict[str, str],
-    unresolved: tuple[str, ...],
-    layers: dict[str, str],
-) -> Report:
-    """Return the conversion report of a robot that was read from a USD or URDF file."""
+def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
+    """Return the conversion report of a robot that was read from a USD or URDF file.
+
+    ``origin`` has the report's fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers``.
+    """
     note_colliders(robot, ledger)
     names: dict[str, str] = {}
     for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
@@ -109,12 +102,9 @@ def report_of(
     roots = list(robot.children(None))
     kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return Report(
-        source=source,
+        **origin,
         model=robot.name,
-        root=root,
         base=", ".join(sorted(kinds)),
-        stage=stage,
-        variants=variants,
         totals=totals(robot, findings),
         bodies={body.path: body.name for body in robot.bodies},
         joints={dof.name: dof.path for dof in robot.dofs},
@@ -124,10 +114,8 @@ def report_of(
         assumptions=assumed,
         left_out=left,
         warnings=warnings,
-        unresolved=unresolved,
         findings=findings,
         authored=plain(ledger.authored),
-        layers=layers,
     )
 
 

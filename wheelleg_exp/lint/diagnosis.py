@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,7 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
     return dict(zip(env.reward_manager.active_terms, (total / steps).tolist(), strict=True))
 
 
+Drives = Mapping[str, robots.Drive | None]
 _MJCF = (".xml", ".mjcf")
 _ENDLESS = 1e6  # A limit above this value in a robot file means unlimited.
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
@@ -66,24 +67,19 @@ def case_of_file(source: Path) -> Case:
         if source.suffix.lower() in _MJCF:
             model = _model(source)
             drives = _drives_of_mjcf(model)
-            return _file_case(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
+            return _file_case(source, env, _robot_of_mjcf(source, model), drives)
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         described = conversion.description
         positions = {dof.name: robots.default_position(dof) for dof in described.dofs if dof.kind != "ball"}
         robot = robots.provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
-        return _file_case(source, env, conversion.output, robot, conversion, drives, described.driven)
+        return _file_case(source, env, robot, drives, conversion)
 
 
 def _file_case(
-    source: Path,
-    env: Mapping[str, Any],
-    mjcf: Path,
-    robot: dict[str, Any],
-    conversion: Conversion | None,
-    drives: Mapping[str, robots.Drive | None],
-    driven: Collection[str],
+    source: Path, env: Mapping[str, Any], robot: dict[str, Any], drives: Drives, conversion: Conversion | None = None
 ) -> Case:
+    mjcf = conversion.output if conversion else source
     config = {"env": {**env, "robot": robot}}
     scene = SceneManager(config["env"], mjcf, 1).scene
     if not scene.robot.joint_names:
@@ -95,8 +91,8 @@ def _file_case(
     # Put the robot on the ground, because a robot file contains no spawn height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
-    report = conversion.report if conversion is not None else None
-    found, facts = robots.compiled_robot(model, scene.robot, report, driven)
+    driven = conversion.description.driven if conversion else list(drives)
+    found, facts = robots.compiled_robot(model, scene.robot, conversion.report if conversion else None, driven)
     wheels = set(facts.wheels)
     joints = {}
     for name, joint in facts.joints.items():

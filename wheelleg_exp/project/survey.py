@@ -179,16 +179,12 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
 
 
 def _measured(
-    conversion: Conversion,
-    robot: Robot,
-    model: mujoco.MjModel,
-    positions: Mapping[str, float],
-    standing: Standing | None,
+    conversion: Conversion, robot: Robot, model: mujoco.MjModel, pose: Mapping[str, float], standing: Standing | None
 ) -> Survey:
     description = conversion.description
     dofs = {dof.name: dof for dof in description.dofs}
     dofs = {name: dofs[name] for name in robot.joint_names}
-    data = _at(model, robot, positions)
+    data = _at(model, robot, pose)
     limited = with_written_limits(model, conversion.report)
     anatomy = anatomy_of(limited, data.qpos, description.driven or None)
     wheels = anatomy.wheel_joints
@@ -215,7 +211,7 @@ def _measured(
         held=[name for name in driven if name not in limbs],
         wheels=[name for name in dofs if name in wheels and name not in passive],
         passive=passive,
-        positions={name: positions[name] for name in dofs},
+        positions={name: pose[name] for name in dofs},
         rotation=(w, x, y, z),
         standing=standing,
         overlaps={(model.body(a).name, model.body(b).name): depth for (a, b), depth in depths},

@@ -20,6 +20,7 @@ from wheelleg_exp.asset.usd.colliders import is_site
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
+Names = Mapping[str, str]  # MJCF names by prim path
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
@@ -222,9 +223,7 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
     return [prim for prim in stage.prims if prim.GetTypeName() == TENDON]
 
 
-def read_tendons(
-    stage: Stage, joints: Mapping[str, str], sites: Mapping[str, str], geoms: Mapping[str, str]
-) -> tuple[desc.Tendon, ...]:
+def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
     """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
     prims = tendon_prims(stage)
     names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
@@ -232,14 +231,7 @@ def read_tendons(
     return tuple(tendon for tendon in found if tendon is not None)
 
 
-def _tendon(
-    stage: Stage,
-    prim: Usd.Prim,
-    name: str,
-    joints: Mapping[str, str],
-    sites: Mapping[str, str],
-    geoms: Mapping[str, str],
-) -> desc.Tendon | None:
+def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names, geoms: Names) -> desc.Tendon | None:
     fixed = stage.ledger.read(prim, "mjc:type", "fixed or spatial") == "fixed"
     try:
         factors = _factors(stage, prim, joints) if fixed else ()
@@ -283,9 +275,7 @@ def _factors(stage: Stage, prim: Usd.Prim, joints: Mapping[str, str]) -> tuple[t
     return tuple((joints[path], factor) for path, factor in zip(route, factors, strict=True))
 
 
-def _points(
-    stage: Stage, prim: Usd.Prim, sites: Mapping[str, str], geoms: Mapping[str, str]
-) -> tuple[desc.TendonPoint, ...]:
+def _points(stage: Stage, prim: Usd.Prim, sites: Names, geoms: Names) -> tuple[desc.TendonPoint, ...]:
     route = _route(stage, prim)
     segments = indices(stage, prim, "mjc:path:segments", "the tendon's pulleys") or [0] * len(route)
     divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)

@@ -306,8 +306,3 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         for link in joined or graph.links.below(Sdf.Path(path)):
             parts[frozenset(other.path for other in graph.component(link))] = None
     return list(parts)
-
-
-def all_quiet(parts: list[frozenset[str]], solid: set[str]) -> bool:
-    """Return whether one articulation without self-collision contains all bodies with colliders."""
-    return len(parts) == 1 and solid <= parts[0]

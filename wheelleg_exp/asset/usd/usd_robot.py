@@ -29,7 +29,7 @@ from wheelleg_exp.asset.usd.joints.articulate import dofs_of
 from wheelleg_exp.asset.usd.joints.joint_couplings import Ropes, read_mimics, read_ropes
 from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, read_joints
 from wheelleg_exp.asset.usd.mjc_overlay import with_mujoco
-from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, all_quiet, quiet_parts, read_filters
+from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, quiet_parts, read_filters
 from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
 
 HALF_STEP = 2.0**-25
@@ -134,7 +134,8 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
     # If one articulation without self-collision contains all colliders, a default class can disable self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
-    touching = not all_quiet(quiet, {piece.link.path for piece in pieces if piece.link and piece.collides})
+    solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
+    touching = len(quiet) != 1 or not solid <= quiet[0]
     filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
     parts = _Parts(stage, Geoms(stage, pieces), filters, ropes)
     parts.sites = find_sites(stage, links)

@@ -256,26 +256,17 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
         present = [name for name in section_at(composed.config, package) if name in wanted]
         kept = [name for name in wanted if name in present]
         if present != kept:
-            errors.append(_order_error(composed, package, members, kept, present))
+            early = next(name for name, other in zip(present, kept, strict=True) if name != other)
+            member = next(file for file in members if file.name == early)
+            sources = composed.provenance.below(f"{package}.{early}")
+            first = sources[0].shadowed[0] if sources and sources[0].shadowed else sources[0]
+            setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
+            message = f"the order of the terms is not that of the list: it is {', '.join(present)}, because '{early}' "
+            message += "is set before it is listed"
+            expected = f"{', '.join(kept)}, the order of the list: put _self_ last, or set '{early}' after it is listed"
+            where = (setters[0] if setters else first).where
+            errors.append(ConfigError(message, key=package, where=where, expected=expected))
     return errors
-
-
-def _order_error(
-    composed: Composed, package: str, members: Sequence[MountedFile], wanted: list[str], present: list[str]
-) -> ConfigError:
-    early = next(name for name, other in zip(present, wanted, strict=True) if name != other)
-    member = next(file for file in members if file.name == early)
-    sources = composed.provenance.below(f"{package}.{early}")
-    first = sources[0].shadowed[0] if sources and sources[0].shadowed else sources[0]
-    setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
-    by = (setters[0] if setters else first).where
-    return ConfigError(
-        f"the order of the terms is not that of the list: it is {', '.join(present)}, because '{early}' is set before "
-        "it is listed",
-        key=package,
-        where=by,
-        expected=f"{', '.join(wanted)}, the order of the list: put _self_ last, or set '{early}' after it is listed",
-    )
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
