@@ -74,6 +74,7 @@ class CachedConversion:
 
     @property
     def meshes(self) -> tuple[Path, ...]:
+        """The mesh files of the MJCF."""
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
@@ -158,9 +159,7 @@ def _read(entry: Path) -> Report | None:
         if not (entry / CONTENTS).is_file():
             return None
         contents = json_value((entry / CONTENTS).read_text(encoding="utf-8"))
-        if _hashes(entry) != contents:
-            return None
-        return Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
+        return None if _hashes(entry) != contents else Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
     except (OSError, TypeError, ValueError):
         return None
 

@@ -167,6 +167,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
+        """The verdict on the conversion, from its findings and warnings."""
         return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
 
     def to_json(self) -> str:

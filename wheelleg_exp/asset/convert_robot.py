@@ -181,11 +181,10 @@ def _problem_of(source: Path, output: Path) -> str | None:
 def _publish(draft: Path, output: Path, old: Path) -> None:
     """Move the draft MJCF and its meshes to the output path. After an error, restore the old MJCF and its meshes."""
     new, target = mesh_folder(draft), mesh_folder(output)
-    folder = mesh_folder(output)
-    text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
-    foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []
+    text = output.read_text(encoding="utf-8", errors="replace") if target.exists() and output.is_file() else ""
+    foreign = [path.name for path in target.iterdir() if f'file="{path.name}"' not in text] if target.exists() else []
     if foreign:
-        message = f"'{folder}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
+        message = f"'{target}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
         raise AssetError(message, key="-o", expected="another name, or move that folder away")
     try:
         if target.exists():

@@ -264,6 +264,4 @@ def drive_bandwidth(case: Case) -> Iterator[Finding]:
 
 
 def _bandwidth(joint: Joint, drive: Drive) -> float:
-    if drive.stiffness > 0.0:
-        return math.sqrt(drive.stiffness / joint.effective)
-    return drive.damping / joint.effective
+    return math.sqrt(drive.stiffness / joint.effective) if drive.stiffness > 0.0 else drive.damping / joint.effective

@@ -20,9 +20,7 @@ def still_score(speed: float, std: float) -> float:
 
     The integral is sqrt(pi)/2 · erf(V/std) · std/V.
     """
-    if speed == 0.0:
-        return 1.0
-    return math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
+    return 1.0 if speed == 0.0 else math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
 
 
 @rule

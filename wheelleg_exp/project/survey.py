@@ -59,9 +59,7 @@ class Standing:
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
     """Choose how a robot stands, near the pose ``qpos`` of shape (nq,)."""
     stance = solve_stance(model, anatomy, qpos)
-    lean = 0.0
-    if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN:
-        lean = stance.lean
+    lean = stance.lean if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN else 0.0
     frame = _frame(anatomy, lean)
     w, x, y, z = (float(part) for part in qpos[3:7]) if frame is None else (1.0, 0.0, 0.0, 0.0)
     return Standing(frame, (w, x, y, z), {} if stance is None else stance.positions, stance, lean)

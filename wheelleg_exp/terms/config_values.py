@@ -142,9 +142,7 @@ def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[
             for m in found
         ]
     broken = next((constraint for constraint in constraints if not constraint.holds(value)), None)
-    if broken is None:
-        return []
-    return [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
+    return [] if broken is None else [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
 
 
 def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:

@@ -128,10 +128,12 @@ class Classes:
         self._rest: dict[tuple[str, str], Attributes] = {}
 
     def child(self, name: str) -> None:
+        """Add an empty child class of the robot's class."""
         self._content.setdefault(name, {})
         self._parents[name] = self.root
 
     def add(self, family: Family) -> None:
+        """Move the attributes that elements of a family share into default classes."""
         shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
         if shared:
             self._content[family.parent][family.tag] = shared
@@ -154,6 +156,7 @@ class Classes:
         return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
 
     def rest(self, tag: str, name: str) -> Attributes:
+        """Return the attributes that an MJCF element does not get from its default class."""
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
@@ -161,6 +164,7 @@ class Classes:
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:
+        """Return the ``<default>`` element of the MJCF."""
         out = Element("default")
         made = {self.root: Element("default", {"class": self.root})}
         for name, tags in self._content.items():

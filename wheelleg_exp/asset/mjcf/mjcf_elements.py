@@ -82,9 +82,7 @@ def value_text(value: Value) -> str:
 
 def number(value: float) -> str:
     """Return the shortest text that reads back as the same number."""
-    if math.isfinite(value) and abs(value) < 1e15 and value == int(value):
-        return str(int(value))
-    return repr(value)
+    return str(int(value)) if math.isfinite(value) and abs(value) < 1e15 and value == int(value) else repr(value)
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)

@@ -34,12 +34,15 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> list[Element]:
+        """Return the child elements with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
+        """Return the first child element with a tag; None without such a child."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
+        """Yield the element and all elements below it, depth first."""
         yield self
         for child in self.children:
             yield from child.walk()
@@ -113,6 +116,7 @@ class Document:
         return value
 
     def required(self, element: Element, name: str, became: str) -> str:
+        """Return an XML attribute's text like ``text``; a missing or empty attribute raises AssetError."""
         value = self.text(element, name, became)
         if not value:
             self.fail(element, f"<{element.tag}> has no '{name}'", f'{name}="..."')

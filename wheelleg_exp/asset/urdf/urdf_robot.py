@@ -166,9 +166,8 @@ def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tupl
     found = []
     for joint in tree.joints.values():
         element = joint.element.first("mimic")
-        if element is not None:
-            coupling = _coupling(document, joint, element, tree, dofs)
-            found += [coupling] if coupling else []
+        coupling = _coupling(document, joint, element, tree, dofs) if element else None
+        found += [coupling] if coupling else []
     return tuple(found)
 
 

@@ -48,6 +48,7 @@ class Looks:
         return r, g, b, a
 
     def of(self, shape: Element) -> tuple[str | None, Rgba | None]:
+        """Return the name of a shape's material, or else its colour."""
         element = shape.first("material")
         if element is None:
             return None, None

@@ -41,6 +41,7 @@ class Joint:
 
     @property
     def welds(self) -> bool:
+        """Whether the joint is fixed."""
         return self.kind == "fixed"
 
 
@@ -66,6 +67,7 @@ class Tree:
             stack.extend(joint.child for joint in reversed(link.joints))
 
     def breadth_first(self) -> Iterator[Link]:
+        """Yield all links of the tree in breadth-first order."""
         level = [self.root]
         while level:
             yield from level

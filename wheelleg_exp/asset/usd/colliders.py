@@ -36,7 +36,7 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
     The USD library does not know Isaac Sim's sensor types, so a sensor gets the transform of its parent prim.
     """
     found: dict[str, list[Site]] = {}
-    for prim, name in _named(stage):
+    for prim, name in named([prim for prim in stage.prims if is_site(prim)]):
         if (link := links.owner(prim.GetPath())) is not None:
             found.setdefault(link.path, []).append(_site(stage, prim, name, link))
     return found
@@ -44,11 +44,12 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
 
 def world_sites(stage: Stage, links: Links) -> list[Site]:
     """Return the sites of the stage that belong to no body."""
-    return [_site(stage, prim, name, None) for prim, name in _named(stage) if links.owner(prim.GetPath()) is None]
+    sites = named([prim for prim in stage.prims if is_site(prim)])
+    return [_site(stage, prim, name, None) for prim, name in sites if links.owner(prim.GetPath()) is None]
 
 
-def _named(stage: Stage) -> list[tuple[Usd.Prim, str]]:
-    prims = [prim for prim in stage.prims if is_site(prim)]
+def named(prims: list[Usd.Prim]) -> list[tuple[Usd.Prim, str]]:
+    """Return prims with unique names."""
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     return [(prim, names[str(prim.GetPath())]) for prim in prims]
 
@@ -93,6 +94,7 @@ class Piece:
 
     @property
     def path(self) -> str:
+        """The path of the gprim."""
         return str(self.prim.GetPath())
 
 

@@ -38,6 +38,7 @@ class Shape:
 
     @property
     def points(self) -> int:
+        """The number of the mesh's points and triangles."""
         return sum(len(array) for array in (self.vertices, self.faces) if array is not None)
 
 
@@ -63,9 +64,7 @@ class _Placing:
     def scale(self) -> Array | None:
         """Scale factors along the shape's own axes; None if the transform shears the shape."""
         off = self.stretch - np.diag(np.diag(self.stretch))
-        if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max():
-            return None
-        return np.abs(np.diag(self.stretch))
+        return None if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max() else np.abs(np.diag(self.stretch))
 
     def frame(self, turn: Array | None = None) -> Frame:
         return Frame(self.rotation if turn is None else self.rotation @ turn, self.origin)
@@ -212,9 +211,7 @@ def _points(mesh: UsdGeom.Mesh) -> Array | None:
 
 def _integers(value: object) -> NDArray[np.int64] | None:
     array = np.asarray([] if value is None else value)
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        return None
-    return array.astype(np.int64)
+    return None if array.ndim != 1 or (array.size and array.dtype.kind not in "iu") else array.astype(np.int64)
 
 
 def _area(vertices: Array, faces: NDArray[np.int64]) -> float:

@@ -194,6 +194,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
+        """Return the targets of a relationship, and record the MJCF part that it becomes."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -202,6 +203,7 @@ class Ledger:
         return list(relationship.GetForwardedTargets())
 
     def mapped(self, path: object, name: str, became: str) -> None:
+        """Record the MJCF part that a part of the robot file becomes."""
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
@@ -214,6 +216,7 @@ class Ledger:
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
+        """Record a warning, once for each text."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
@@ -223,9 +226,11 @@ class Ledger:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
+        """The recorded findings."""
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
+        """Return whether an assumption of a rule is recorded for a path."""
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
@@ -234,6 +239,7 @@ class Ledger:
         return key in self._mapped or key in self._left_names
 
     def left_out(self, path: object, name: str) -> bool:
+        """Return whether a part of the robot file is recorded as left out."""
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:

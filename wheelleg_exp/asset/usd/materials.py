@@ -23,6 +23,7 @@ class Looks:
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
+        """Return the materials in use, with unique names, by path."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 

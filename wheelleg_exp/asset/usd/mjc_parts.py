@@ -15,8 +15,8 @@ import numpy as np
 from pxr import Usd
 
 from wheelleg_exp.asset import robot_description as desc
-from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links, shown_names
-from wheelleg_exp.asset.usd.colliders import is_site
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links
+from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
@@ -136,6 +136,7 @@ class Targets:
     bodies: dict[str, str] = field(default_factory=dict)
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
+        """Return the transmission and the MJCF name of a target; None if the MJCF lacks it."""
         kinds: tuple[tuple[Transmission, dict[str, str]], ...] = (
             ("joint", self.joints),
             ("tendon", self.tendons),
@@ -147,9 +148,8 @@ class Targets:
 
 def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
     """Return the actuators whose target is in the MJCF, in the order of the stage."""
-    prims = [prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR]
-    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_actuator(stage, prim, names[str(prim.GetPath())], targets) for prim in prims)
+    prims = named([prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR])
+    found = (_actuator(stage, prim, name, targets) for prim, name in prims)
     return tuple(actuator for actuator in found if actuator is not None)
 
 
@@ -225,9 +225,7 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
 
 def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
     """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
-    prims = tendon_prims(stage)
-    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_tendon(stage, prim, names[str(prim.GetPath())], joints, sites, geoms) for prim in prims)
+    found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(tendon_prims(stage)))
     return tuple(tendon for tendon in found if tendon is not None)
 
 
@@ -317,19 +315,18 @@ def with_wraps(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc
             wrapped = stage.usd.GetPrimAtPath(target)
             if wrapped and not is_site(wrapped):
                 found[str(target)] = wrapped
-    prims = [prim for prim in found.values() if str(prim.GetPath()) not in known]
+    prims = named([prim for prim in found.values() if str(prim.GetPath()) not in known])
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
     taken = desc.Numbered(geom.name for geom in geoms)
-    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     added: dict[str | None, list[desc.Geom]] = {}
-    for prim in prims:
+    for prim, own_name in prims:
         link = links.owner(prim.GetPath())
         inside = link.frame.inverse().matrix() @ stage.matrix(prim) if link else stage.matrix(prim)
         shape = shape_of(prim, inside)
         if shape is None or shape.kind not in WRAPPED:
             continue
         path = str(prim.GetPath())
-        name = taken.take(names[path])
+        name = taken.take(own_name)
         stage.ledger.mapped(path, str(prim.GetTypeName()), f"geom {name}, which tendons wrap around")
         geom = desc.Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
         added.setdefault(link.path if link else None, []).append(geom)
@@ -345,9 +342,8 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
     """Return the keyframes whose arrays match the robot's numbers of coordinates, velocities, and controls."""
-    prims = [prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME]
-    names = desc.unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_keyframe(stage, prim, names[str(prim.GetPath())], robot) for prim in prims)
+    prims = named([prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME])
+    found = (_keyframe(stage, prim, name, robot) for prim, name in prims)
     return tuple(keyframe for keyframe in found if keyframe is not None)
 
 

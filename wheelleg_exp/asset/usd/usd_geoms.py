@@ -40,6 +40,7 @@ class Geoms:
         self._names = {key: _names(key, group) for key, group in self.pieces.items()}
 
     def of(self, link: Link | None) -> tuple[Geom, ...]:
+        """Return the geoms of a body (None: the world)."""
         key = link.path if link else None
         owner = link.name if link else "world"
         return tuple(self._geom(piece, owner, self._names[key]) for piece in self.pieces.get(key, []))

@@ -105,6 +105,7 @@ class Missing:
 
     @property
     def prim(self) -> Sdf.Path:
+        """The first prim that names the missing layer or prim."""
         return self.prims[0]
 
 
@@ -116,16 +117,11 @@ def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
         holder = re.search(r"(?:introduced by @[^@]*@|Cycle detected: @[^<]*)<([^>]*)>", line)
         prim = Sdf.Path(holder.group(1)) if holder else Sdf.Path.absoluteRootPath
         file = re.search(r"(?:open asset|load sublayer) @([^@]+)@", line)
-        if file:
-            item = Missing(file.group(1).removeprefix(f"{source.resolve().parent}/"), (prim,), line, is_file=True)
-        else:
-            target = re.search(r"Unresolved \w+ prim path @[^@]*@<([^>]*)>", line)
-            if target:
-                item = Missing(target.group(1), (prim,), line, is_file=False)
-            elif "ycle" in line:
-                item = Missing(f"a cycle of layers or references at {prim}", (prim,), line, is_file=False)
-            else:
-                item = Missing(line[:200], (prim,), line, is_file=False)
+        target = re.search(r"Unresolved \w+ prim path @[^@]*@<([^>]*)>", line)
+        name = f"a cycle of layers or references at {prim}" if "ycle" in line else line[:200]
+        name = target.group(1) if target else name
+        name = file.group(1).removeprefix(f"{source.resolve().parent}/") if file else name
+        item = Missing(name, (prim,), line, is_file=bool(file))
         known = found.setdefault(item.name, item)
         if item.prim not in known.prims:
             found[item.name] = replace(known, prims=(*known.prims, item.prim))

@@ -44,12 +44,15 @@ class Units:
         return out
 
     def mass(self, value: float) -> float:
+        """Convert a mass to kg."""
         return value * self.kilograms
 
     def density(self, value: float) -> float:
+        """Convert a density to kg/m³."""
         return value * self.kilograms / self.meters**3
 
     def inertia(self, value: float) -> float:
+        """Convert a moment of inertia to kg·m²."""
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
@@ -57,6 +60,7 @@ class Units:
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
+        """Convert a torque or force to N·m or N."""
         return rounded(value * self.kilograms * self.meters ** (2 if angular else 1))
 
     def gain(self, value: float, angular: bool) -> float:
@@ -84,9 +88,7 @@ def endless(value: float | None, angular: bool) -> bool:
 
 def effort_limit(value: float | None) -> float | None:
     """Return a drive's effort limit in stage units; None if the limit is missing, infinite, huge, or not positive."""
-    if value is None or not math.isfinite(value) or value >= HUGE or value <= 0:
-        return None
-    return value
+    return None if value is None or not math.isfinite(value) or value >= HUGE or value <= 0 else value
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
@@ -150,10 +152,12 @@ class Stage:
 
     @cached_property
     def physics_scenes(self) -> list[Usd.Prim]:
+        """The PhysicsScene prims, in the stage's order."""
         return [prim for prim in self.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
 
     @cached_property
     def articulation_prims(self) -> list[Sdf.Path]:
+        """The paths of the prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:

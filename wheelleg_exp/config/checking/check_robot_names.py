@@ -123,9 +123,7 @@ def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tu
         return [], []  # The check of types reports an expression that is not a string.
     errors = [error for expression in listed for error in _match_error([expression], names, key, what)]
     errors = errors or _match_error(listed, names, key, what)
-    if errors:
-        return [], errors
-    return match_names(listed, names, key=key, what=what)[1], []
+    return ([], errors) if errors else (match_names(listed, names, key=key, what=what)[1], [])
 
 
 def _match_error(expressions: list[str], names: Sequence[str], key: str, what: str) -> list[ConfigError]:
