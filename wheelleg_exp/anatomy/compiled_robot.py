@@ -181,17 +181,10 @@ def _joints(
         joint, dof = model.joint(name), int(model.joint(name).dofadr[0])
         low, high = model.jnt_range[joint.id].tolist() if model.jnt_limited[joint.id] else (-math.inf, math.inf)
         armature = float(model.dof_armature[dof])
-        joints[name] = Joint(
-            default=float(robot.layout.default_joint_pos[index]),
-            default_velocity=float(robot.layout.default_joint_vel[index]),
-            low=low,
-            high=high,
-            armature=armature,
-            inertia=float(matrix[dof, dof]) - armature,
-            effective=1.0 / float(inverse[dof, dof]),
-            hold=float(hold[dof]),
-            drive=drives.get(name),
-        )
+        default, speed = float(robot.layout.default_joint_pos[index]), float(robot.layout.default_joint_vel[index])
+        load, effective = float(matrix[dof, dof]) - armature, 1.0 / float(inverse[dof, dof])
+        drive = drives.get(name)
+        joints[name] = Joint(default, speed, low, high, armature, load, effective, float(hold[dof]), drive)
     return joints
 
 

@@ -100,18 +100,11 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
-    return Found(
-        joint=joint,
-        bodies=tuple(bodies),
-        axis=axis,
-        centre=anchor + axis * (there - back) / 2,
-        radius=radius,
-        width=float(there + back),
-        roundness=roundness,
-        beside=float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0,
-        why=f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
-        f"from the axis all round, within {100 * (1 - roundness):.1f} %",
-    )
+    beside = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
+    centre, width = anchor + axis * (there - back) / 2, float(there + back)
+    why = f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
+    why += f"from the axis all round, within {100 * (1 - roundness):.1f} %"
+    return Found(joint, tuple(bodies), axis, centre, radius, width, roundness, beside, why)
 
 
 def _where_its_shape_is(shape: Found) -> str:
@@ -186,15 +179,10 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     for wheel, chain in chains.items():
         limb = limbs.get(int(model.jnt_bodyid[wheel]), set())
         beside = [joint for joint in tree.joints if int(model.jnt_bodyid[joint]) in limb and joint not in on_chains]
-        legs.append(
-            Leg(
-                wheel=tree.joint_name(wheel),
-                joints=tuple(map(tree.joint_name, chain)),
-                passive=tuple(tree.joint_name(joint) for joint in chain if joint not in driven),
-                beside=tuple(map(tree.joint_name, beside)),
-                loops=tuple(name for name, pair in closures if limb & set(pair)),
-            )
-        )
+        joints, others = tuple(map(tree.joint_name, chain)), tuple(map(tree.joint_name, beside))
+        passive = tuple(tree.joint_name(joint) for joint in chain if joint not in driven)
+        loops = tuple(name for name, pair in closures if limb & set(pair))
+        legs.append(Leg(tree.joint_name(wheel), joints, passive, others, loops))
     return legs
 
 

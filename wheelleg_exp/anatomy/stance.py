@@ -229,15 +229,10 @@ class _Problem:
         self.at(positions)
         offset = self.offset()
         above = float((self.data.subtree_com[self.base] - self._centres().mean(axis=0)) @ self.up)
-        return Stance(
-            positions=dict(zip(self.joints, map(float, positions), strict=True)),
-            height=self._height(),
-            offset=offset,
-            lean=-math.atan2(offset, above) if above > 0 and self.one_axle else 0.0,
-            tallest=self.tallest,
-            balanced=abs(offset) <= _BALANCED * self.size,
-            grounded=bool(np.ptp(self._clearances(self._centres())) <= _TOUCHES * self.size),
-        )
+        lean = -math.atan2(offset, above) if above > 0 and self.one_axle else 0.0
+        grounded = bool(np.ptp(self._clearances(self._centres())) <= _TOUCHES * self.size)
+        balanced, by_name = abs(offset) <= _BALANCED * self.size, zip(self.joints, map(float, positions), strict=True)
+        return Stance(dict(by_name), self._height(), offset, lean, self.tallest, balanced, grounded)
 
 
 @dataclass(frozen=True)

@@ -262,10 +262,9 @@ def notes_on(case: Case) -> list[str]:
         notes.append(f"{loops} closed loops in the legs: their joints share the load and move together")
     if anatomy.forward is not None and anatomy.one_axle:
         weight = weight_over_axle(robot)
-        notes.append(
-            f"the centre of mass above the wheels: {1e3 * weight.ahead:+.1f} mm along forwards, "
-            f"{1e3 * weight.above:.4g} mm over the axle, a lean of {math.degrees(weight.lean):+.1f}°"
-        )
+        note = f"the centre of mass above the wheels: {1e3 * weight.ahead:+.1f} mm along forwards, "
+        note += f"{1e3 * weight.above:.4g} mm over the axle, a lean of {math.degrees(weight.lean):+.1f}°"
+        notes.append(note)
     signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
     backwards = [name for name, sign in signs.items() if sign < 0]
     if backwards and len(backwards) < len(signs):

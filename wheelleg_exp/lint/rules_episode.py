@@ -170,20 +170,11 @@ def push_size(case: Case) -> Iterator[Finding]:
             much = push > limit
             weak, strong = at_least(_WEAK * limit), at_most(limit)
             verdict = "too much" if much else f"{100 * push / limit:.0f} % of the limit, which tests nothing"
-            yield Finding(
-                f"{term.path}.velocity_range",
-                f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}",
-                f"between {weak:g} and {strong:g} m/s",
-                {"push": push, "limit": limit, "ratio": push / limit},
-                tuple(
-                    {
-                        f"{term.path}.velocity_range.{axis}": [-size, size]
-                        for axis, found in pushes.items()
-                        if found == push or found > limit
-                    }
-                    for size in (weak, strong)
-                ),
-            )
+            key, hint = f"{term.path}.velocity_range", f"between {weak:g} and {strong:g} m/s"
+            changed = [f"{key}.{axis}" for axis, found in pushes.items() if found == push or found > limit]
+            advice = tuple({name: [-size, size] for name in changed} for size in (weak, strong))
+            message = f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}"
+            yield Finding(key, message, hint, {"push": push, "limit": limit, "ratio": push / limit}, advice)
 
 
 @rule

@@ -212,7 +212,10 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    weak = _written_as_zero(case)
+    # The joints with an effort or speed of 0 in a file without a task; a task defines its own limits.
+    kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
+    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
+    weak = [name for name in facts.joints if name in written and "task" not in case.config]
     for name, joint in facts.joints.items():
         if joint.drive is None:
             continue
@@ -231,12 +234,3 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             drive = facts.joints[names[0]].drive
             key = f"env.robot.actuators.{drive.group}" if drive is not None else "env.robot.actuators"
             yield Finding(key, f"{listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
-
-
-def _written_as_zero(case: Case) -> list[str]:
-    """Return the joints with an effort or speed of 0 in a file without a task; a task defines its own limits."""
-    if "task" in case.config:
-        return []
-    kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
-    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
-    return [name for name in case.facts.joints if name in written]

@@ -57,19 +57,11 @@ def _problem(name: str) -> str | None:
         return "is a value in YAML, not a name"
     if name.lower() in _OWN:
         return "is the name of another part of a project"
-    stock = _stock(name)
-    if stock is not None:
-        return f"is the name of a stock config, {stock}"
+    stock = sorted(configs_dir().rglob(f"{name}.yaml"), key=lambda file: (file.parent.name != "task", file))
+    if stock:  # Tasks come first.
+        return f"is the name of a stock config, {stock[0].relative_to(configs_dir()).with_suffix('').as_posix()}"
     if name in sys.stdlib_module_names or importlib.util.find_spec(name) is not None:
         return "is the name of an installed Python package"
-    return None
-
-
-def _stock(name: str) -> str | None:
-    files = sorted(configs_dir().rglob("*.yaml"))
-    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # Search the tasks first.
-        if file.stem == name:
-            return file.relative_to(configs_dir()).with_suffix("").as_posix()
     return None
 
 

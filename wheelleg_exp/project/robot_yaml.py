@@ -91,13 +91,9 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
 
     wanted = {n: max(load.inertia * _LEG_RATE**2, load.hold / _SAG) for n, load in loads.items()}
     stiffness, given = _filled(robot, held, file_stiffness, lambda n: min(wanted[n], 2 * loads[n].stiffest))
-    swung = {n: stiffness[n] * max(load.inertia, load.carried) for n, load in loads.items()}
-    damping, own = _filled(
-        robot,
-        held,
-        lambda n: None if n in untaken else _damping(dofs[n]),
-        lambda n: 2 * _DAMPING_RATIO * math.sqrt(swung[n]),
-    )
+    critical = {n: math.sqrt(stiffness[n] * max(load.inertia, load.carried)) for n, load in loads.items()}
+    own_damping = {n: None if n in untaken else _damping(dofs[n]) for n in held}
+    damping, own = _filled(robot, held, own_damping.__getitem__, lambda n: 2 * _DAMPING_RATIO * critical[n])
     strong = {n: max(_STRENGTH * load.hold, stiffness[n] * _SAG * _STRENGTH) for n, load in loads.items()}
     effort, limited = _filled(robot, held, file_effort, strong.__getitem__)
     velocity, fast = _filled(robot, held, lambda name: _velocity(dofs[name]), lambda _: _LEG_SPEED)
@@ -143,12 +139,8 @@ def wheel_gains(robot: Survey) -> Gains:
     share = facts.mass / count * robot.radius**2
 
     dofs, refused = robot.dofs, list[str]()
-    damping, own = _filled(
-        robot,
-        robot.wheels,
-        lambda name: _speed_gain(dofs[name]),
-        lambda name: (facts.joints[name].effective + share) / _WHEEL_TIME,
-    )
+    started = {name: (facts.joints[name].effective + share) / _WHEEL_TIME for name in robot.wheels}
+    damping, own = _filled(robot, robot.wheels, lambda n: _speed_gain(dofs[n]), started.__getitem__)
     # The torque at which a wheel slips, N·m.
     slips = max(facts.friction, 0.5) * facts.weight / count * robot.radius
 

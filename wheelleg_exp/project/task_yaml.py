@@ -33,7 +33,17 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
   scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
   use_default_offset: true
 """
-        files[f"observation/{name}_leg_pos.yaml"] = _leg_positions(name, robot)
+        endless = [joint for joint in robot.legs if robot.dofs[joint].range is None]
+        clip = f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
+        note = "Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance."
+        files[f"observation/{name}_leg_pos.yaml"] = f"""# {note}
+{name}_leg_pos:
+  _target_: wheelleg_exp.mdp.observations.joint_pos_rel
+  asset_cfg:
+    {_ENTITY}
+    name: robot
+    joint_names: {names(robot.legs, 6, 17)}
+{clip}"""
     if robot.wheels:
         files[f"action/{name}_wheels.yaml"] = f"""# Wheels: velocity targets.
 {name}_wheels:
@@ -208,19 +218,6 @@ def _leg_scale(robot: Survey) -> float:
         reach += [robot.positions[name] - low, high - robot.positions[name], gains.effort[name] / gains.stiffness[name]]
     smallest, largest = _LEG_SCALE
     return min(largest, max(smallest, math.floor(100 * min(reach)) / 100 if min(reach) < largest else largest))
-
-
-def _leg_positions(name: str, robot: Survey) -> str:
-    endless = [joint for joint in robot.legs if robot.dofs[joint].range is None]
-    clip = f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
-    return f"""# Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance.
-{name}_leg_pos:
-  _target_: wheelleg_exp.mdp.observations.joint_pos_rel
-  asset_cfg:
-    {_ENTITY}
-    name: robot
-    joint_names: {names(robot.legs, 6, 17)}
-{clip}"""
 
 
 def _upright(name: str, robot: Survey) -> str:

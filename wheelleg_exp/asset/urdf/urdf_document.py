@@ -201,8 +201,7 @@ READ = {  # children, by tag
 
 REASONS = {  # by the element's tag
     "gazebo": "Gazebo settings",
-    "transmission": "hardware names; the task's configuration defines the drives",
-    "ros2_control": "hardware names; the task's configuration defines the drives",
+    **dict.fromkeys(("transmission", "ros2_control"), "hardware names; the task's configuration defines the drives"),
     "sensor": "sensors are not read; the task's configuration defines the observations",
     "safety_controller": "soft limits of a hardware controller",
     "calibration": "calibration of a hardware encoder",
@@ -211,13 +210,11 @@ REASONS = {  # by the element's tag
     "specular": "only colours are read",
     "material": "colliders are drawn in one colour",
     "joint_properties": "an old spelling of <dynamics>, which other readers ignore, too",
-    "option": "MuJoCo settings; the conversion has its own",
-    "size": "MuJoCo settings; the conversion has its own",
+    **dict.fromkeys(("option", "size"), "MuJoCo settings; the conversion has its own"),
 }
 
 ATTRIBUTES = {  # by tag and name
-    ("limit", "lower"): "a joint of this kind has no limits",
-    ("limit", "upper"): "a joint of this kind has no limits",
+    **dict.fromkeys((("limit", "lower"), ("limit", "upper")), "a joint of this kind has no limits"),
     ("limit", "effort"): "a joint of this kind has no effort limit in the model",
     ("limit", "velocity"): "a joint of this kind has no velocity limit in the model",
     ("axis", "xyz"): "a joint of this kind has no axis",

@@ -42,7 +42,17 @@ def inertials(
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
-            found.update(_moving(document, unweighed, colliders))
+            # Parts for moving links without mass, which no simulator accepts: by their volume, or PhysX's 1 kg.
+            heavy = {
+                link.name: part for link in unweighed if (part := _by_volume(document, link, colliders[link.name]))
+            }
+            first = unweighed[0]
+            if not heavy:
+                heavy = {first.name: _bare(document, first, geometry.BARE_MASS, np.zeros(3))}
+            mass = sum(part.mass for part in heavy.values())
+            reason = "the link moves, and neither it nor links welded to it have a mass"
+            document.ledger.warn(f"{first.element.path}: {reason}; the model's mass is {mass:.6g} kg, as in PhysX")
+            found.update(heavy)
         for link in group:
             if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
                 document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
@@ -54,18 +64,6 @@ def inertials(
 
 def _enough(part: geometry.Part) -> bool:
     return part.mass >= SMALLEST and float(np.linalg.eigvalsh(part.tensor)[-1]) >= SMALLEST
-
-
-def _moving(document: Document, group: list[Link], colliders: dict[str, list[Shape]]) -> dict[str, geometry.Part]:
-    """Return parts for moving links without mass, which no simulator accepts: by their volume, or PhysX's 1 kg."""
-    heavy = {link.name: part for link in group if (part := _by_volume(document, link, colliders[link.name]))}
-    top = group[0]
-    if not heavy:
-        heavy = {top.name: _bare(document, top, geometry.BARE_MASS, np.zeros(3))}
-    mass = sum(part.mass for part in heavy.values())
-    reason = "the link moves, and neither it nor links welded to it have a mass"
-    document.ledger.warn(f"{top.element.path}: {reason}; the model's mass is {mass:.6g} kg, as in PhysX")
-    return heavy
 
 
 def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> geometry.Part:

@@ -185,14 +185,8 @@ def _coupling(
         document.ledger.leave(element.path, "joint", reason, leader)
         document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
         return None
-    ratio = 1.0 if multiplier is None else multiplier
-    return desc.Coupling(
-        f"{joint.name}_coupling",
-        element.path,
-        dofs[joint.name].name,
-        dofs[leader].name,
-        (offset or 0.0, ratio, 0.0, 0.0, 0.0),
-    )
+    numbers = (offset or 0.0, 1.0 if multiplier is None else multiplier, 0.0, 0.0, 0.0)
+    return desc.Coupling(f"{joint.name}_coupling", element.path, dofs[joint.name].name, dofs[leader].name, numbers)
 
 
 SUFFIXES = (".urdf",)

@@ -252,10 +252,8 @@ def _hull(points: Array, at: _Placing, note: str) -> Shape:
 _MAKERS: dict[str, Maker] = {
     "Cube": _cube,
     "Sphere": _sphere,
-    "Capsule": partial(_round, "capsule"),
-    "Cylinder": partial(_round, "cylinder"),
-    "Capsule_1": partial(_round, "capsule"),
-    "Cylinder_1": partial(_round, "cylinder"),
+    **dict.fromkeys(("Capsule", "Capsule_1"), partial(_round, "capsule")),
+    **dict.fromkeys(("Cylinder", "Cylinder_1"), partial(_round, "cylinder")),
     "Cone": _cone,
     "Plane": _plane,
     "Mesh": _mesh,

@@ -44,14 +44,12 @@ _KINDS: dict[ValueKind, str] = {  # patterns of full names
     ValueKind("number"): r"""
         physics:(mass|density|dynamicFriction|staticFriction|restitution)
         drive:\w+:physics:(stiffness|damping|targetPosition|targetVelocity) state:\w+:physics:(position|velocity)
-        physxJoint:(armature|jointFriction)
-        physxJointAxis:\w+:(armature|\w+FrictionEffort|viscousFrictionCoefficient)
+        physxJoint:(armature|jointFriction) physxJointAxis:\w+:(armature|\w+FrictionEffort|viscousFrictionCoefficient)
         physxMimicJoint:\w+:(gearing|offset|naturalFrequency|dampingRatio)
         newton:(armature|friction|damping|mimicCoef\d|torsionalFriction|rollingFriction) newton:maxHullVertices
         urdf:dynamics:\w+ mjc:(armature|damping|frictionloss|stiffness|ref|springref|margin|gap|solmix)
-        mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength)
-        mjc:(torsional|rolling)friction mjc:(actDim|maxhullvert|body:gravcomp)
-        mjc:compiler:(boundMass|boundInertia|setTotalMass)
+        mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength) mjc:(torsional|rolling)friction
+        mjc:(actDim|maxhullvert|body:gravcomp) mjc:compiler:(boundMass|boundInertia|setTotalMass)
         mjc:option:(impratio|density|viscosity|o_margin|noslip_\w+|timestep)
     """,
     ValueKind("flag"): r"""
@@ -78,11 +76,8 @@ _KINDS: dict[ValueKind, str] = {  # patterns of full names
     """,
 }
 _EXPECTED = {
-    "number": "a number",
-    "flag": "true or false",
-    "text": "a token",
-    "vector": "{length} numbers",
-    "array": "an array of numbers",
+    **{"number": "a number", "flag": "true or false", "text": "a token"},
+    **{"vector": "{length} numbers", "array": "an array of numbers"},
 }
 
 

@@ -44,12 +44,10 @@ class Looks:
             if color is None or len(color) != 3:
                 continue
             opacity = _input(shader, ("opacity", "opacity_constant"))
-            self.found[path] = Material(
-                path,
-                (color[0], color[1], color[2], 1.0 if opacity is None else opacity),
-                _input(shader, ("metallic", "metallic_constant")),
-                _input(shader, ("roughness", "reflection_roughness_constant")),
-            )
+            rgba = (color[0], color[1], color[2], 1.0 if opacity is None else opacity)
+            metallic = _input(shader, ("metallic", "metallic_constant"))
+            roughness = _input(shader, ("roughness", "reflection_roughness_constant"))
+            self.found[path] = Material(path, rgba, metallic, roughness)
             return True
         return False
 

@@ -116,13 +116,8 @@ TYPES = {  # MJCF's words
     "gainType": {"fixed", "affine", "muscle", "user"},
     "biasType": {"none", "affine", "muscle", "user"},
 }
-ACTUATOR_ATTRIBUTES = {
-    "mjc:group": "group",
-    "mjc:actDim": "actdim",
-    "mjc:actEarly": "actearly",
-    "mjc:crankLength": "cranklength",
-    "mjc:inheritRange": "inheritrange",
-}
+_OF_ACTUATORS = "group actDim actEarly crankLength inheritRange"
+ACTUATOR_ATTRIBUTES = {f"mjc:{name}": name.lower() for name in _OF_ACTUATORS.split()}
 
 
 @dataclass(frozen=True)
@@ -137,13 +132,9 @@ class Targets:
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
         """Return the transmission and the MJCF name of a target; None if the MJCF lacks it."""
-        kinds: tuple[tuple[Transmission, dict[str, str]], ...] = (
-            ("joint", self.joints),
-            ("tendon", self.tendons),
-            ("site", self.sites),
-            ("body", self.bodies),
-        )
-        return next(((kind, names[path]) for kind, names in kinds if path in names), None)
+        kinds: tuple[Transmission, ...] = ("joint", "tendon", "site", "body")
+        pairs = zip(kinds, (self.joints, self.tendons, self.sites, self.bodies), strict=True)
+        return next(((kind, names[path]) for kind, names in pairs if path in names), None)
 
 
 def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:

@@ -20,7 +20,7 @@ from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.asset.report_writer import summarise
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.asset.usd.audit import audit
-from wheelleg_exp.asset.usd.bodies.body_tree import Node, Tree, build_tree, read_closures
+from wheelleg_exp.asset.usd.bodies.body_tree import Node, build_tree, read_closures
 from wheelleg_exp.asset.usd.bodies.mass import inertial_of
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import find_links, velocity_of
 from wheelleg_exp.asset.usd.bodies.roots import Graph
@@ -141,6 +141,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     parts.sites = find_sites(stage, links)
     dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
     bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
+    levels = sorted(tree.nodes, key=lambda node: node.depth)
     robot = desc.RobotDescription(
         name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
         bodies=bodies,
@@ -154,7 +155,9 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
         materials=tuple(parts.shapes.materials.values()),
         meshes=tuple(parts.shapes.meshes.values()),
         self_collision=touching,
-        breadth_first_dofs=_breadth_first(tree, dofs),
+        breadth_first_dofs=tuple(
+            dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1]
+        ),
     )
     robot = with_mujoco(stage, links, robot)
     if "integrator" not in robot.option and any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
@@ -164,11 +167,6 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     robot = shortened(stage, robot)
     audit(stage)
     return robot
-
-
-def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[desc.Dof, ...]]) -> tuple[str, ...]:
-    levels = sorted(tree.nodes, key=lambda node: node.depth)
-    return tuple(dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1])
 
 
 class _Parts:
@@ -182,15 +180,13 @@ class _Parts:
         return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
 
     def body(self, node: Node, dofs: tuple[desc.Dof, ...]) -> desc.Body:
-        link = node.link
+        link, pieces = node.link, self.shapes.pieces.get(node.link.path, [])
         return desc.Body(
             name=link.name,
             path=link.path,
             parent=node.parent.name if node.parent else None,
             pose=node.pose,
-            inertial=inertial_of(
-                self.stage, link, self.shapes.pieces.get(link.path, []), welded=node.joint is not None and not dofs
-            ),
+            inertial=inertial_of(self.stage, link, pieces, welded=node.joint is not None and not dofs),
             floating=node.floating,
             velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,
             mocap=link.kinematic and node.parent is None and not dofs,

@@ -79,7 +79,11 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         error.key = error.key or path
         return [error]
     if found is None:
-        nearest = nearest_name(str(name), [*_library_names(), _MIRROR])
+        from importlib import import_module
+
+        modules = [import_module(f"rsl_rl.{part}") for part in ("algorithms", "models", "modules", "runners")]
+        names = [known for module in modules for known in dir(module) if not known.startswith("_")]
+        nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
     # Check the module that defines the object, because an allowed module can import any function.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
@@ -161,10 +165,3 @@ def known_words(name: str, value: Any = "?") -> list[str] | None:
     except ValueError as error:
         return re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
     return None
-
-
-def _library_names() -> list[str]:
-    from importlib import import_module
-
-    modules = [import_module(f"rsl_rl.{part}") for part in ("algorithms", "models", "modules", "runners")]
-    return [name for module in modules for name in dir(module) if not name.startswith("_")]

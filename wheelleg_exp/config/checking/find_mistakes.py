@@ -205,7 +205,14 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     errors += _check_observation_groups(config)
     errors += check_terms.check_sections(config)
     errors += check_terms.check_nested_targets(config)
-    errors += check_terms.check_links(config) + _check_silences(config)
+    errors += check_terms.check_links(config)
+    for name, reason in section_at(config, "check.silence").items():
+        key = f"check.silence.{name}"
+        if name not in schema.PHYSICS_RULES:
+            expected, nearest = "a rule of `wheelleg check --list`", nearest_name(str(name), schema.PHYSICS_RULES)
+            errors.append(ConfigError("there is no such rule", key=key, expected=expected, nearest=nearest))
+        elif isinstance(reason, str) and not reason.strip():
+            errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
     errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs) + check_terms.check_drawn(config)
     return errors + check_agent(config.get("agent"), groups, num_envs)
@@ -216,18 +223,6 @@ def require_valid(composed: Composed) -> None:
     errors = check(composed)
     if errors:
         raise_all(errors)
-
-
-def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:
-    errors = []
-    for name, reason in section_at(config, "check.silence").items():
-        key = f"check.silence.{name}"
-        if name not in schema.PHYSICS_RULES:
-            expected, nearest = "a rule of `wheelleg check --list`", nearest_name(str(name), schema.PHYSICS_RULES)
-            errors.append(ConfigError("there is no such rule", key=key, expected=expected, nearest=nearest))
-        elif isinstance(reason, str) and not reason.strip():
-            errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
-    return errors
 
 
 def _check_observation_groups(config: Mapping[str, Any]) -> list[ConfigError]:

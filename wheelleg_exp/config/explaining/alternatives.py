@@ -147,6 +147,8 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
     even the primary config composes.
     """
+    from wheelleg_exp.config.composing.compose import compose
+
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     files = [
         (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
@@ -155,7 +157,15 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    made = _make(before, config_dirs, primary)
+    made = None
+    for words in (list(before), [word for word in before if word.startswith("task=")], []):
+        try:
+            composed = compose(words, primary=primary, config_dirs=config_dirs)
+        except WheellegError:
+            continue
+        groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
+        made = CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
+        break
     if made is not None:
         with contextlib.suppress(OSError, TypeError):
             text = json.dumps(asdict(made))
@@ -167,19 +177,6 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
             for old in stored[:-_MOST_VIEWS]:
                 old.unlink(missing_ok=True)
     return made
-
-
-def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
-    from wheelleg_exp.config.composing.compose import compose
-
-    for words in (list(before), [word for word in before if word.startswith("task=")], []):
-        try:
-            composed = compose(words, primary=primary, config_dirs=config_dirs)
-        except WheellegError:
-            continue
-        groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
-        return CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
-    return None
 
 
 def complete_override(
