@@ -258,10 +258,8 @@ def _notes(
     if not upright:
         notes.append("the root link's z axis does not point up, so the task leaves out terms that require it")
     if not anatomy.wheels:
-        notes.append(
-            "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so "
-            "the task has no wheels"
-        )
+        text = "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so "
+        notes.append(text + "the task has no wheels")
     lifted = [wheel.joint for wheel in anatomy.wheels if not wheel.stands]
     if lifted:
         count = f"only {len(anatomy.standing)} of {len(anatomy.wheels)} wheels"

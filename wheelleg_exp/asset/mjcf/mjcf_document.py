@@ -188,15 +188,9 @@ class Writer:
     def _geom(self, out: Element, geom: desc.Geom, static: bool = False) -> None:
         bare = static and geom.collides
         rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
-        element = out.add(
-            "geom",
-            {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}},
-            name=geom.name,
-            class_=None if bare else self.classes.of("geom", geom.name),
-            type=rest.get("type"),
-            size=geom.size or None,
-            mesh=geom.mesh,
-        )
+        own = {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}}
+        shared, kind = None if bare else self.classes.of("geom", geom.name), rest.get("type")
+        element = out.add("geom", own, name=geom.name, class_=shared, type=kind, size=geom.size or None, mesh=geom.mesh)
         self.notes.place(geom.path, element)
 
     def _equalities(self) -> Element:
@@ -209,27 +203,17 @@ class Writer:
                 element = out.add(closure.kind, own, name=name, class_=shared, site1=first, site2=second)
                 self.notes.place(closure.path, element)
         for item in self.robot.couplings:
-            out.add(
-                "joint",
-                self.classes.rest("equality", of.key(item)),
-                name=item.name,
-                class_=self.classes.explicit("equality", of.key(item)),
-                joint1=item.joint,
-                joint2=item.reference,
-                polycoef=item.coefficients,
-            )
+            rest, shared = self.classes.rest("equality", of.key(item)), self.classes.explicit("equality", of.key(item))
+            ends: Attributes = {"joint1": item.joint, "joint2": item.reference, "polycoef": item.coefficients}
+            out.add("joint", rest, name=item.name, class_=shared, **ends)
         return out
 
     def _tendons(self) -> Element:
         out = Element("tendon")
         for tendon in self.robot.tendons:
             shared = self.classes.explicit("tendon", tendon.name)
-            element = out.add(
-                "fixed" if tendon.joints else "spatial",
-                self.classes.rest("tendon", tendon.name),
-                name=tendon.name,
-                class_=shared,
-            )
+            kind, rest = "fixed" if tendon.joints else "spatial", self.classes.rest("tendon", tendon.name)
+            element = out.add(kind, rest, name=tendon.name, class_=shared)
             self.notes.place(tendon.path, element)
             for joint, factor in tendon.joints:
                 element.add("joint", joint=joint, coef=factor)
@@ -273,13 +257,8 @@ def keyframes(robot: desc.RobotDescription) -> Element:
     controls = [float(getattr(drive, targets[drive.kind])) if drive.kind in targets else 0.0 for drive in drives]
     controls += [0.0] * len(robot.actuators)
     if positions and all(item.name != HOME for item in robot.keyframes):
-        out.add(
-            "key",
-            name=HOME,
-            qpos=positions,
-            qvel=velocities if any(velocities) else None,
-            ctrl=controls if any(controls) else None,
-        )
+        moving, driven = velocities if any(velocities) else None, controls if any(controls) else None
+        out.add("key", name=HOME, qpos=positions, qvel=moving, ctrl=driven)
     for item in robot.keyframes:
         out.add("key", item.extra, name=item.name)
     return out

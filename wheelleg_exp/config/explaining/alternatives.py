@@ -150,9 +150,8 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     from wheelleg_exp.config.composing.compose import compose
 
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
-    files = [
-        (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
-    ]
+    stats = {str(path): path.stat() for folder in folders for path in sorted(folder.rglob("*.yaml"))}
+    files = [(path, stat.st_mtime_ns, stat.st_size) for path, stat in stats.items()]
     parts = [wheelleg_exp.__version__, list(before), [str(f) for f in folders], primary, files]
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
