@@ -136,15 +136,13 @@ class Shapes:
             if name not in self._loaded:
                 try:
                     if not name:
-                        self._loaded[name] = "no file is named"
-                    else:
-                        reader_of(name)
-                        path = self.files.find(name)
-                        self._loaded[name] = "the file is missing" if path is None else read_mesh(path)
+                        raise ValueError("no file is named")
+                    reader_of(name)
+                    path = self.files.find(name)
+                    self._loaded[name] = "the file is missing" if path is None else read_mesh(path)
                 except ValueError as error:
                     self._loaded[name] = str(error)
-            found = self._loaded[name]
-            if isinstance(found, str):
+            if isinstance(found := self._loaded[name], str):
                 self.document.ledger.leave(mesh.path, "filename", found, name)
                 self._left(placed, f"mesh '{name}': {found}")
                 return None
