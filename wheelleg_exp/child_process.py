@@ -109,8 +109,16 @@ class Child:
         self._errors.close()
 
     def read(self, pipe: IO[bytes]) -> Iterator[Event]:
-        """Yield the events that a pipe holds now."""
-        for line in self._lines(pipe):
+        """Yield the events that a pipe contains now."""
+        found = self.open.pop(pipe)
+        try:
+            while chunk := os.read(pipe.fileno(), _CHUNK):
+                found += chunk
+            found += b"\n"
+        except BlockingIOError:  # The pipe is empty, but not closed.
+            found, _, self.open[pipe] = found.rpartition(b"\n")
+        for raw in filter(bytes.strip, found.split(b"\n")):
+            line = raw.decode(errors="replace").rstrip()
             if pipe is self._errors:
                 self._last_lines.append(line)
                 yield {"event": "note", "text": line}
@@ -129,16 +137,6 @@ class Child:
             name = signal.Signals(-code).name
             how = f"was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
         return how + "".join(f": {line.strip()}" for line in self._last_lines)
-
-    def _lines(self, pipe: IO[bytes]) -> list[str]:
-        found = self.open.pop(pipe)
-        try:
-            while chunk := os.read(pipe.fileno(), _CHUNK):
-                found += chunk
-            found += b"\n"
-        except BlockingIOError:  # The pipe is empty, but not closed.
-            found, _, self.open[pipe] = found.rpartition(b"\n")
-        return [line.decode(errors="replace").rstrip() for line in found.split(b"\n") if line.strip()]
 
 
 def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Event]]:

@@ -73,128 +73,78 @@ TRAINING_ABOUT = (
 )
 # The definitions of TensorBoard scalars by key. A part in <> matches any name, and the first match counts.
 SCALARS = {
-    "Train/mean_reward": Definition(
-        "return, mean", "", f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST
-    ),
+    "Train/mean_reward": Definition("return, mean", "",
+        f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST),
     "Train/mean_episode_length": Definition("episode length, mean", STEPS, f"Mean over {LAST} of {_ALL}.", LAST),
-    "Episode_Termination/<term>": Definition(
-        "last episode ended by <term>",
-        SHARE,
+    "Episode_Termination/<term>": Definition("last episode ended by <term>", SHARE,
         f"Share of {_ALL} whose last ended episode was ended by this termination. An episode that two terminations "
-        "ended in one step counts for both. An environment without an ended episode counts for none.",
-        _ALL,
-    ),
-    "Episode_Reward/<term>": Definition(
-        f"<term>, {EPISODE_REWARD}",
-        "1/s",
+        "ended in one step counts for both. An environment without an ended episode counts for none.", _ALL),
+    "Episode_Reward/<term>": Definition(f"<term>, {EPISODE_REWARD}", "1/s",
         "Sum of the weighted term over an episode, divided by the seconds of the longest possible episode, not by the "
-        "length of this episode.",
-        _ENDED,
-    ),
-    "Episode_Metrics/<command>/error_vel_xy_per_step": Definition(
-        "mean planar velocity error (<command>)",
-        "m/s",
-        "Size of velocity minus command in the base's axes, mean over an episode's control steps.",
-        _ENDED,
-    ),
-    "Episode_Metrics/<command>/error_vel_yaw_per_step": Definition(
-        "mean yaw rate error (<command>)",
-        "rad/s",
-        "Size of yaw rate minus command, mean over an episode's control steps.",
-        _ENDED,
-    ),
-    "Episode_Metrics/<command>/<metric>_per_step": Definition(
-        "mean <metric> (<command>)",
-        "",
-        "The error that the command itself defines, mean over an episode's control steps.",
-        _ENDED,
-    ),
-    "Metrics/<command>/<metric>": Definition(
-        "<metric>, added up over an episode (<command>)",
-        "",
+        "length of this episode.", _ENDED),
+    "Episode_Metrics/<command>/error_vel_xy_per_step": Definition("mean planar velocity error (<command>)", "m/s",
+        "Size of velocity minus command in the base's axes, mean over an episode's control steps.", _ENDED),
+    "Episode_Metrics/<command>/error_vel_yaw_per_step": Definition("mean yaw rate error (<command>)", "rad/s",
+        "Size of yaw rate minus command, mean over an episode's control steps.", _ENDED),
+    "Episode_Metrics/<command>/<metric>_per_step": Definition("mean <metric> (<command>)", "",
+        "The error that the command itself defines, mean over an episode's control steps.", _ENDED),
+    "Metrics/<command>/<metric>": Definition("<metric>, added up over an episode (<command>)", "",
         "Isaac Lab's metric: the sum of the error over an episode's control steps, times the control step, divided by "
         "the longest time between two commands. It grows with the length of the episode; `Episode_Metrics` does not.",
-        _ENDED,
-    ),
-    "Metrics_per_step/<command>/error_vel_xy": Definition(
-        "planar velocity error (<command>)",
-        "m/s",
-        f"Size of velocity minus command in the base's axes, mean over {_ALL_STEPS}.",
-        _ALL_STEPS,
-    ),
-    "Metrics_per_step/<command>/error_vel_yaw": Definition(
-        "yaw rate error (<command>)", "rad/s", f"Size of yaw rate minus command, mean over {_ALL_STEPS}.", _ALL_STEPS
-    ),
-    "Metrics_per_step/<command>/<metric>": Definition(
-        "<metric> (<command>)", "", f"The error that the command itself defines, mean over {_ALL_STEPS}.", _ALL_STEPS
-    ),
-    "Rewards_per_step/<term>": Definition(
-        "<term>, reward per second", "1/s", f"The weighted term per second, mean over {_ALL_STEPS}.", _ALL_STEPS
-    ),
-    "Terminations_per_step/<term>": Definition(
-        "steps that <term> ended", SHARE, f"Share of {_ALL_STEPS} in which this termination fired.", _ALL_STEPS
-    ),
+        _ENDED),
+    "Metrics_per_step/<command>/error_vel_xy": Definition("planar velocity error (<command>)", "m/s",
+        f"Size of velocity minus command in the base's axes, mean over {_ALL_STEPS}.", _ALL_STEPS),
+    "Metrics_per_step/<command>/error_vel_yaw": Definition("yaw rate error (<command>)", "rad/s",
+        f"Size of yaw rate minus command, mean over {_ALL_STEPS}.", _ALL_STEPS),
+    "Metrics_per_step/<command>/<metric>": Definition("<metric> (<command>)", "",
+        f"The error that the command itself defines, mean over {_ALL_STEPS}.", _ALL_STEPS),
+    "Rewards_per_step/<term>": Definition("<term>, reward per second", "1/s",
+        f"The weighted term per second, mean over {_ALL_STEPS}.", _ALL_STEPS),
+    "Terminations_per_step/<term>": Definition("steps that <term> ended", SHARE,
+        f"Share of {_ALL_STEPS} in which this termination fired.", _ALL_STEPS),
     "Curriculum/<term>": Definition("curriculum <term>", "", "The last return value of the term."),
-    "Diagnostics/joint_over_speed": Definition(
-        "a joint beyond its velocity limit", SHARE, "Share of the ended episodes, in their last step.", _ENDED
-    ),
-    "Diagnostics/<sensor>_overflow": Definition(
-        "more contacts than <sensor> sums", SHARE, "Share of the ended episodes.", _ENDED
-    ),
-    "Diagnostics/non_finite/<key>": Definition(
-        "episodes ended by numbers of <key> that were not finite",
-        "",
+    "Diagnostics/joint_over_speed": Definition("a joint beyond its velocity limit", SHARE,
+        "Share of the ended episodes, in their last step.", _ENDED),
+    "Diagnostics/<sensor>_overflow": Definition("more contacts than <sensor> sums", SHARE,
+        "Share of the ended episodes.", _ENDED),
+    "Diagnostics/non_finite/<key>": Definition("episodes ended by numbers of <key> that were not finite", "",
         "Number of such episodes in the iteration. The key is that of a reward, of the physics (`env.sim`), or of the "
-        "actions.",
-    ),
+        "actions."),
     "Loss/value": Definition("value loss", "", "Mean over the iteration's minibatches."),
     "Loss/surrogate": Definition("surrogate loss", "", "Mean over the iteration's minibatches."),
     "Loss/entropy": Definition("entropy of the policy", "nat", "Mean over the iteration's minibatches."),
     "Loss/learning_rate": Definition("learning rate", "", "Value after the iteration."),
     "Loss/<name>": Definition("<name> loss", "", "Mean over the iteration's minibatches, with rsl_rl's name."),
-    "Policy/mean_std": Definition(
-        "standard deviation of the actions",
-        "raw action",
-        "Exploration noise after the iteration, mean over the actions.",
-    ),
-    "Perf/total_fps": Definition(
-        "speed",
-        f"{STEPS} / s",
-        f"Control steps of {_ALL} divided by the time of rollout and update. Writing files is not counted.",
-    ),
+    "Policy/mean_std": Definition("standard deviation of the actions", "raw action",
+        "Exploration noise after the iteration, mean over the actions."),
+    "Perf/total_fps": Definition("speed", f"{STEPS} / s",
+        f"Control steps of {_ALL} divided by the time of rollout and update. Writing files is not counted."),
     "Perf/collection_time": Definition("time of the rollout", "s", "Wall-clock time."),
     "Perf/learning_time": Definition("time of the update", "s", "Wall-clock time."),
-}
+}  # fmt: skip
 
 # The columns of `wheelleg list runs`, by heading.
 LISTED = {
     "done": Definition("done", "", "Finished iterations, and the requested number."),
     "return": Definition("return", "", "`Train/mean_reward` of the last iteration."),
-    "time-out": Definition(
-        "time-out", SHARE, "`Episode_Termination/time_out` of the last iteration, if a termination has that name."
-    ),
+    "time-out": Definition("time-out", SHARE,
+        "`Episode_Termination/time_out` of the last iteration, if a termination has that name."),
     "played": Definition("played", "", "Number of ended episodes of the last play that survived, and their total."),
-    "evaluated": Definition(
-        "evaluated", SHARE, "The last evaluation's protocol, and the share of its first test's episodes that survived."
-    ),
-    "took": Definition(
-        "took", "", "Time from the start of the run to its end. For a resumed run: the sum of its iterations."
-    ),
-}
+    "evaluated": Definition("evaluated", SHARE,
+        "The last evaluation's protocol, and the share of its first test's episodes that survived."),
+    "took": Definition("took", "",
+        "Time from the start of the run to its end. For a resumed run: the sum of its iterations."),
+}  # fmt: skip
 
 # The manifest has these keys, in addition to scalars of the last iteration.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
-    "results.seconds": Definition(
-        "seconds", "s", "Wall-clock time of the iterations. Building and exporting are not counted."
-    ),
-    "last_ended_by": Definition(
-        "last episode ended by",
-        "",
+    "results.seconds": Definition("seconds", "s",
+        "Wall-clock time of the iterations. Building and exporting are not counted."),
+    "last_ended_by": Definition("last episode ended by", "",
         "Number of environments for each ending of their last episode. Each environment counts once. `none` means that "
-        "no episode of the environment has ended.",
-    ),
-}
+        "no episode of the environment has ended."),
+}  # fmt: skip
 
 # The scalars that describe the result of a training, as prefixes of their keys.
 ENDED_AS = (
@@ -234,55 +184,32 @@ ROLLOUT_ABOUT = (
 # The keys are those of figures.json and of the manifest's additions.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
-    "unfinished": Definition(
-        "still running",
-        "",
-        "Number of episodes that had not ended when the rollout ended. Only height and pitch include them.",
-    ),
-    "survival": Definition(
-        "survived to the time-out",
-        SHARE,
+    "unfinished": Definition("still running", "",
+        "Number of episodes that had not ended when the rollout ended. Only height and pitch include them."),
+    "survival": Definition("survived to the time-out", SHARE,
         "Share of the ended episodes that a time-out ended, without a failure in the same step. Missing if no episode "
-        "ended.",
-    ),
-    "settle_s": Definition(
-        "settling time",
-        "s",
-        "Time at the start of an episode that height and pitch leave out: `play.settle_s` (1 s); 0 s for agents.",
-    ),
-    "settled_episodes": Definition(
-        "episodes in height and pitch", "", "Number of episodes that lasted longer than the settling time."
-    ),
+        "ended."),
+    "settle_s": Definition("settling time", "s",
+        "Time at the start of an episode that height and pitch leave out: `play.settle_s` (1 s); 0 s for agents."),
+    "settled_episodes": Definition("episodes in height and pitch", "",
+        "Number of episodes that lasted longer than the settling time."),
     "settled_steps": Definition("control steps in height and pitch", "", "Number of these steps, of all episodes."),
-    "height_rmse_m": Definition(
-        "base height, RMSE to target",
-        "m",
-        "Root mean square of height minus target. The target is `target_height` of the first reward that has one.",
-    ),
-    "height_mean_m": Definition(
-        "base height, mean", "m", "Mean height of the root link's origin above the world's zero."
-    ),
+    "height_rmse_m": Definition("base height, RMSE to target", "m",
+        "Root mean square of height minus target. The target is `target_height` of the first reward that has one."),
+    "height_mean_m": Definition("base height, mean", "m",
+        "Mean height of the root link's origin above the world's zero."),
     "pitch_rms_deg": Definition("pitch, RMS", "°", "Root mean square of the pitch against upright."),
     "pitch_mean_deg": Definition("pitch, mean", "°", "Mean of the pitch. Leaning forwards is positive."),
-    "mean_return": Definition(
-        "return, mean",
-        "",
+    "mean_return": Definition("return, mean", "",
         "Mean over the ended episodes of the sum of their rewards, not discounted. Episodes that ended with a "
-        "number that was not finite are left out.",
-    ),
-    "non_finite": Definition(
-        "ended by numbers that are not finite",
-        "",
+        "number that was not finite are left out."),
+    "non_finite": Definition("ended by numbers that are not finite", "",
         "Number of episodes for each config key whose numbers were not finite. The return leaves these episodes out; "
-        "height and pitch cover them until then. Shown only if there are such episodes.",
-    ),
-    "ended_by": Definition(
-        "ended by",
-        "",
+        "height and pitch cover them until then. Shown only if there are such episodes."),
+    "ended_by": Definition("ended by", "",
         "Number of episodes for each ending. Each episode counts once: an episode that two terminations ended in one "
-        "step is listed under both names together.",
-    ),
-}
+        "step is listed under both names together."),
+}  # fmt: skip
 
 MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
@@ -290,35 +217,22 @@ MOTION_ABOUT = (
 )
 # The keys are those of figures.json. The last three figures have one value for each actuator group.
 MOTION = {
-    "drift_m": Definition(
-        "strayed from its place",
-        "m",
+    "drift_m": Definition("strayed from its place", "m",
         "Largest distance in the plane from the base's position at the settling time, mean over the episodes that "
-        "lasted longer.",
-    ),
-    "yaw_drift_deg": Definition(
-        "turned from its heading",
-        "°",
-        "Largest turn from the base's heading at the settling time, mean over the same episodes.",
-    ),
-    "action_rate_per_s": Definition(
-        "actions change", "1/s", "Mean size of an action component's change from step to step, per second."
-    ),
-    "power_net_w": Definition(
-        "power, net of armature",
-        "W",
+        "lasted longer."),
+    "yaw_drift_deg": Definition("turned from its heading", "°",
+        "Largest turn from the base's heading at the settling time, mean over the same episodes."),
+    "action_rate_per_s": Definition("actions change", "1/s",
+        "Mean size of an action component's change from step to step, per second."),
+    "power_net_w": Definition("power, net of armature", "W",
         "Mean over all physics steps of the summed sizes of the joints' mechanical power, (τ − I q̈) q̇. The armature I "
-        "is subtracted, because swinging it back and forth takes no energy in the end.",
-    ),
+        "is subtracted, because swinging it back and forth takes no energy in the end."),
     "torque_rms_nm": Definition("torque, RMS", "N·m", "Root mean square over joints and physics steps."),
     "at_limit": Definition("at the effort limit", SHARE, "Share of the physics steps at 99 % of the limit or more."),
-    "sign_changes_per_s": Definition(
-        "torque changes its sign",
-        "1/s",
+    "sign_changes_per_s": Definition("torque changes its sign", "1/s",
         "How often a joint's torque changes from more than a thousandth of its limit in one direction to more than a "
-        "thousandth in the other.",
-    ),
-}
+        "thousandth in the other."),
+}  # fmt: skip
 
 CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
@@ -326,13 +240,12 @@ CONTACTS_ABOUT = (
 )
 # The keys are those of figures.json below `contacts.<sensor>`.
 CONTACTS = {
-    "mean_n": Definition(
-        "mean", "N", "Mean size of the net normal force at the end of these steps; 0 without contact."
-    ),
+    "mean_n": Definition("mean", "N",
+        "Mean size of the net normal force at the end of these steps; 0 without contact."),
     "max_n": Definition("largest", "N", "Largest size of the net normal force at the end of a step."),
     "contact_share": Definition("in contact", SHARE, "Share of these steps with any force at their end."),
     "steps": Definition("steps", "", "Number of these steps."),
-}
+}  # fmt: skip
 
 
 def rollout_label(key: str, settle_s: float | None) -> str:
@@ -366,13 +279,10 @@ DRIVE = {
     "pushes": Definition("pushes", "", "Number of pushes by the user."),
     "height_mean_m": Definition("base height, mean", "m", "Mean height of the root link's origin above the ground."),
     "reward": Definition("return", "", "Sum of the rewards of all steps."),
-    "tracking_rmse": Definition(
-        "RMS error",
-        "m/s, rad/s",
+    "tracking_rmse": Definition("RMS error", "m/s, rad/s",
         "For each axis of the commands: root mean square of the robot's velocity minus the command, from the step in "
-        "which the command was given.",
-    ),
-}
+        "which the command was given."),
+}  # fmt: skip
 
 
 def drive_rows(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -403,14 +313,12 @@ RECORDED_ABOUT = (
     "cover all recorded environments together, unless `--env` selects one."
 )
 _WHOLE = {
-    "survival": Definition(
-        "survived", SHARE, "Share of the whole episodes that a time-out ended, without a failure in the same step."
-    ),
+    "survival": Definition("survived", SHARE,
+        "Share of the whole episodes that a time-out ended, without a failure in the same step."),
     "mean_duration_s": Definition("lasted, mean", "s", "Mean over the whole episodes."),
-    "mean_reward": Definition(
-        "return, mean", "", "Mean over the whole episodes of the sum of rewards, not discounted."
-    ),
-}
+    "mean_reward": Definition("return, mean", "",
+        "Mean over the whole episodes of the sum of rewards, not discounted."),
+}  # fmt: skip
 # The keys are the titles of `wheelleg inspect`'s tables, then the names of figures in the summary's JSON.
 RECORDED = {
     "samples": {
@@ -421,12 +329,9 @@ RECORDED = {
     },
     "episodes": {
         "count": Definition("episodes", "", "Number of whole episodes, and number of other episodes."),
-        "ended_by": Definition(
-            "ended by",
-            "",
+        "ended_by": Definition("ended by", "",
             "Number of whole episodes for each ending. Each episode counts once: an episode that two terminations "
-            "ended is listed under both names together.",
-        ),
+            "ended is listed under both names together."),
         "longest_s": Definition("lasted, longest", "s", "Duration of the longest whole episode."),
         **_WHOLE,
     },
@@ -445,12 +350,9 @@ RECORDED = {
         "mean_command": Definition("mean command", "", "Mean of the command."),
     },
     "contact forces": {
-        "largest_n": Definition(
-            "largest",
-            "N",
+        "largest_n": Definition("largest", "N",
             "Largest size of the net normal force within the physics steps that the sensor stores (3: one and a half "
-            "control steps). Older recordings contain the force at the end of a step only.",
-        ),
+            "control steps). Older recordings contain the force at the end of a step only."),
         "at": Definition("at", "", "Time of the largest force."),
         "mean_n": Definition("mean", "N", "Mean size of the force at the end of the steps; 0 without contact."),
         "contact_share": Definition("in contact", SHARE, "Share of the frames with any force at their end."),
@@ -459,9 +361,8 @@ RECORDED = {
         "rms": Definition("RMS", "N·m, or N", "Root mean square of the applied effort in the last physics step."),
         "largest": Definition("largest", "N·m, or N", "Largest size of the applied effort."),
         "limit": Definition("limit", "N·m, or N", "The joint's effort limit."),
-        "saturated_share": Definition(
-            "at the limit", SHARE, "Share of the frames in which the effort is at the limit."
-        ),
+        "saturated_share": Definition("at the limit", SHARE,
+            "Share of the frames in which the effort is at the limit."),
     },
     "rewards": {
         "weight": Definition("weight", "", "The configured weight. A curriculum can change it during the training."),
@@ -475,7 +376,7 @@ RECORDED = {
         "lowest": Definition("lowest", "", "Lowest value over the iterations, and its iteration."),
         "highest": Definition("highest", "", "Highest value over the iterations, and its iteration."),
     },
-}
+}  # fmt: skip
 
 
 def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:

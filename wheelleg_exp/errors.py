@@ -41,11 +41,8 @@ class WheellegError(Exception):
         nearest: str | None = None,
     ) -> None:
         super().__init__(message)
-        self.message = message
-        self.key = key
-        self.where = where
-        self.expected = expected
-        self.nearest = nearest
+        self.message, self.key, self.where = message, key, where
+        self.expected, self.nearest = expected, nearest
 
     def __str__(self) -> str:
         text = f"{self.key}: {self.message}" if self.key else self.message

@@ -142,9 +142,8 @@ def open_file(path: Path) -> Iterator[BufferedReader]:
     """Open a regular file for reading. Pipes and devices are refused, because reading them might never end."""
     with for_people(path, "read"), open(path, "rb", opener=_opened) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise RunDirectoryError(
-                "the path is not an ordinary file", key=str(path), expected="a file that can be read"
-            )
+            message = "the path is not an ordinary file"
+            raise RunDirectoryError(message, key=str(path), expected="a file that can be read")
         yield file
 
 
@@ -160,9 +159,8 @@ def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
         if len(data) > size:  # The file has more bytes than its reported size.
             data += file.read(largest + 1 - len(data))
     if max(size, len(data)) > largest:
-        raise RunDirectoryError(
-            f"the file has more than {largest >> 20} MiB", key=str(path), expected="a file of that size"
-        )
+        message = f"the file has more than {largest >> 20} MiB"
+        raise RunDirectoryError(message, key=str(path), expected="a file of that size")
     return data
 
 

@@ -94,12 +94,8 @@ class Project:
         for folder in (self.root / name for name in _SOURCES):
             if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
                 return folder
-        raise ConfigError(
-            f"the project has no package '{top}'",
-            key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
-            where=str(self.root / FILE),
-            expected=f"a folder {self.root / top}",
-        )
+        message, key = f"the project has no package '{top}'", f'project.entry-points."{ENTRY_POINT_GROUP}"'
+        raise ConfigError(message, key=key, where=str(self.root / FILE), expected=f"a folder {self.root / top}")
 
 
 def read_project(folder: Path) -> Project | None:
@@ -117,16 +113,12 @@ def read_project(folder: Path) -> Project | None:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"the file is not valid TOML: {error}", where=str(file)) from None
-    declared = _below(table, "project", "entry-points", ENTRY_POINT_GROUP)
-    if not declared:
+    declared: Any = table
+    for key in ("project", "entry-points", ENTRY_POINT_GROUP):
+        declared = declared.get(key) if isinstance(declared, Mapping) else None
+    if not isinstance(declared, Mapping) or not declared:
         return None
     return Project(folder, tuple(sorted(_package(value, file) for value in declared.values())))
-
-
-def _below(table: Any, *keys: str) -> Mapping[str, Any]:
-    for key in keys:
-        table = table.get(key) if isinstance(table, Mapping) else None
-    return table if isinstance(table, Mapping) else {}
 
 
 def _package(value: Any, file: Path) -> str:
@@ -134,12 +126,8 @@ def _package(value: Any, file: Path) -> str:
     parts = name.split(".")
     taken = parts[0] in sys.stdlib_module_names or parts[0] == "wheelleg_exp"
     if taken or not all(part.isidentifier() for part in parts):
-        raise ConfigError(
-            f"the project declares {value!r}",
-            key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
-            where=str(file),
-            expected="the name of a package of this project",
-        )
+        message, key = f"the project declares {value!r}", f'project.entry-points."{ENTRY_POINT_GROUP}"'
+        raise ConfigError(message, key=key, where=str(file), expected="the name of a package of this project")
     return name
 
 
@@ -163,11 +151,9 @@ def _require_own(project: Project) -> None:
     """
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
-        raise ConfigError(
-            "this folder is in a project of another user, whose code and configs are used only on request",
-            key=str(project.root),
-            expected=f"--config-dir {project.configs} to trust it, or another folder",
-        )
+        message = "this folder is in a project of another user, whose code and configs are used only on request"
+        key = str(project.root)
+        raise ConfigError(message, key=key, expected=f"--config-dir {project.configs} to trust it, or another folder")
 
 
 def with_current(folders: Sequence[Path]) -> list[Path]:
@@ -202,9 +188,13 @@ def config_folder(folder: Path) -> Path:
     if absolute.is_dir():
         project = read_project(absolute)
         return project.configs if project is not None and project.configs.is_dir() else absolute
-    installed = _installed_configs(str(folder))
-    if installed is not None:
-        return installed
+    if str(folder) in installed_packages():  # Find the folder without importing the package.
+        spec = importlib.util.find_spec(str(folder).split(".")[0])
+        for place in spec.submodule_search_locations or () if spec is not None else ():
+            for configs in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
+                inside = configs.parent == Path(place) or (configs.parent / FILE).is_file()
+                if inside and configs.is_dir():
+                    return configs
     parent = absolute.parent
     siblings = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
     raise ConfigError(
@@ -214,19 +204,6 @@ def config_folder(folder: Path) -> Path:
         expected="a folder with YAML files, a project, or an installed package that declares itself",
         nearest=nearest_name(absolute.name, siblings),
     )
-
-
-def _installed_configs(package: str) -> Path | None:
-    """Return the config folder of an installed package that declares itself, without importing the package."""
-    if package not in installed_packages():
-        return None
-    spec = importlib.util.find_spec(package.split(".")[0])
-    for place in spec.submodule_search_locations or () if spec is not None else ():
-        for folder in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
-            inside = folder.parent == Path(place) or (folder.parent / FILE).is_file()
-            if inside and folder.is_dir():
-                return folder
-    return None
 
 
 def installed_packages() -> tuple[str, ...]:
@@ -323,10 +300,8 @@ def make_importable(target: str) -> None:
     source = _joined[package].source(package)
     loaded = sys.modules.get(top)
     if loaded is not None and not Path(_place(loaded)).resolve().is_relative_to(source.resolve()):
-        raise ConfigError(
-            f"the package '{top}' has already been imported from elsewhere, {_place(loaded)}",
-            expected=f"the one in {source}",
-        )
+        message = f"the package '{top}' has already been imported from elsewhere, {_place(loaded)}"
+        raise ConfigError(message, expected=f"the one in {source}")
     _finder.sources[top] = source
     if _finder not in sys.meta_path:
         sys.meta_path.insert(0, _finder)
@@ -349,9 +324,7 @@ class _Finder(MetaPathFinder):
     def __init__(self) -> None:
         self.sources: dict[str, Path] = {}
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> ModuleSpec | None:
         source = self.sources.get(fullname) if path is None else None
         return PathFinder.find_spec(fullname, [str(source)], target) if source is not None else None
 

@@ -58,18 +58,10 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
         if candidate.is_file():
             return candidate
     searched = ", ".join(str(c) for c in candidates)
-    raise AssetError(
-        f"there is no file '{name}'",
-        key=key,
-        expected=f"a {what} at one of: {searched}",
-        nearest=_nearest_file(name, candidates),
-    )
-
-
-def _nearest_file(name: str, candidates: Sequence[Path]) -> str | None:
     siblings = [other.name for path in candidates if path.parent.is_dir() for other in path.parent.iterdir()]
     found = nearest_name(Path(name).name, [other for other in siblings if Path(other).suffix == Path(name).suffix])
-    return str(Path(name).with_name(found)) if found else None
+    nearest = str(Path(name).with_name(found)) if found else None
+    raise AssetError(f"there is no file '{name}'", key=key, expected=f"a {what} at one of: {searched}", nearest=nearest)
 
 
 def show_file(file: Path, line: int | None = None) -> str:

@@ -80,7 +80,26 @@ class _PlainLoader(_LOADER):
 
 def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
     try:
-        _require_plain(data, aliases)
+        # Refuse deep nesting and aliases: all aliases, or those that expand to too many nodes.
+        raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+        if sum(map(raw.count, _OPENING)) >= _DEEPEST or b"&" in raw:
+            sizes: dict[str | None, int] = {}
+            above: list[tuple[str | None, int]] = []
+            total = 0
+            for event in yaml.parse(data, Loader=_LOADER):
+                line = None if event.start_mark is None else event.start_mark.line + 1
+                if isinstance(event, yaml.AliasEvent) and not aliases:
+                    raise Unreadable("the text contains references to anchors", line)
+                total += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
+                if isinstance(event, yaml.CollectionStartEvent):
+                    above.append((event.anchor, total))
+                elif isinstance(event, yaml.CollectionEndEvent):
+                    anchor, before = above.pop()
+                    sizes[anchor] = total - before + 1
+                if len(above) > _DEEPEST:
+                    raise Unreadable("the text is nested too deeply", line)
+                if total > _MOST_NODES and sizes:
+                    raise Unreadable("the references to anchors expand to too many nodes", line)
         return read()
     except Unreadable:
         raise
@@ -90,30 +109,6 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
         raise Unreadable(problem, mark.line + 1 if mark else None) from error
     except Exception as error:
         raise Unreadable(f"a value cannot be read ({type(error).__name__}: {error})") from error
-
-
-def _require_plain(data: bytes | str, aliases: bool) -> None:
-    """Refuse deep nesting and aliases: all aliases, or those that expand to too many nodes."""
-    raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-    if sum(map(raw.count, _OPENING)) < _DEEPEST and b"&" not in raw:
-        return
-    sizes: dict[str | None, int] = {}
-    above: list[tuple[str | None, int]] = []
-    total = 0
-    for event in yaml.parse(data, Loader=_LOADER):
-        line = None if event.start_mark is None else event.start_mark.line + 1
-        if isinstance(event, yaml.AliasEvent) and not aliases:
-            raise Unreadable("the text contains references to anchors", line)
-        total += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
-        if isinstance(event, yaml.CollectionStartEvent):
-            above.append((event.anchor, total))
-        elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, before = above.pop()
-            sizes[anchor] = total - before + 1
-        if len(above) > _DEEPEST:
-            raise Unreadable("the text is nested too deeply", line)
-        if total > _MOST_NODES and sizes:
-            raise Unreadable("the references to anchors expand to too many nodes", line)
 
 
 def _bounded(value: Any) -> Any:
@@ -190,8 +185,5 @@ def require_plain(value: Any, path: str = "") -> None:
         for index, item in enumerate(value):
             require_plain(item, f"{path}[{index}]")
     elif type(value) not in _SCALARS:
-        raise RunDirectoryError(
-            f"a {type(value).__name__} cannot be saved as plain YAML",
-            key=path or None,
-            expected="a mapping, list, text, number, boolean or null",
-        )
+        message = f"a {type(value).__name__} cannot be saved as plain YAML"
+        raise RunDirectoryError(message, key=path or None, expected="a mapping, list, text, number, boolean or null")

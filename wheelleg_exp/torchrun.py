@@ -25,8 +25,5 @@ def number(name: str, default: int) -> int:
 def require_alone(what: str) -> None:
     """Raise ConfigError if torchrun has started several processes for a job of one process."""
     if world_size() > 1:
-        raise ConfigError(
-            f"torchrun has started {world_size()} processes for this job",
-            key=what,
-            expected="'wheelleg train' of one run, or 'wheelleg resume'; or this command without torchrun",
-        )
+        expected = "'wheelleg train' of one run, or 'wheelleg resume'; or this command without torchrun"
+        raise ConfigError(f"torchrun has started {world_size()} processes for this job", key=what, expected=expected)

@@ -19,41 +19,26 @@ Side = Literal["left", "right", "middle"]
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel that can carry the robot's weight.
+    """A wheel that can carry the robot's weight."""
 
-    Attributes:
-        joint: the hinge that the wheel turns on.
-        body: the link that the hinge moves; ``bodies`` also has the links that are fixed to it.
-        centre: centre of the collider, on the hinge's ``axis`` (a unit vector), m.
-        radius: largest extent of the colliders across the axis, m; ``width`` is their extent along the axis.
-        roundness: smallest extent across the axis over the largest; 1 for a body of revolution.
-        contact: the point that touches level ground, m.
-        side: relative to the robot's middle, seen along its forward axis.
-        sign: +1 if positive speed rolls the robot forwards, -1 backwards, 0 if the wheel rolls another way.
-        driven: whether a motor drives the wheel; false for a caster.
-        stands: whether the wheel is as low as the lowest wheel, and so carries the robot on level ground.
-        steered: whether its parent joint turns without limits about an upright axis, as in a swerve drive.
-        caster: whether the wheel is steered and trails a steering axis without motor. False for all wheels of a robot
-            that has no other wheels.
-        why: the reason with its figures.
-    """
-
-    joint: str
-    body: str
+    joint: str  # the hinge that the wheel turns on
+    body: str  # the link that the hinge moves; ``bodies`` also has the links that are fixed to it
     bodies: tuple[str, ...]
     axis: Vec3
-    centre: Vec3
-    radius: float
+    centre: Vec3  # centre of the collider, on the hinge's ``axis`` (a unit vector), m
+    radius: float  # largest extent of the colliders across the axis, m; ``width`` is their extent along the axis
     width: float
-    roundness: float
-    contact: Vec3
-    side: Side
-    sign: int
-    driven: bool
-    stands: bool
-    steered: bool
+    roundness: float  # smallest extent across the axis over the largest; 1 for a body of revolution
+    contact: Vec3  # the point that touches level ground, m
+    side: Side  # relative to the robot's middle, seen along its forward axis
+    sign: int  # +1 if positive speed rolls the robot forwards, -1 backwards, 0 if the wheel rolls another way
+    driven: bool  # whether a motor drives the wheel; false for a caster
+    stands: bool  # whether the wheel is as low as the lowest wheel, and so carries the robot on level ground
+    steered: bool  # whether its parent joint turns without limits about an upright axis, as in a swerve drive
+    # whether the wheel is steered and trails a steering axis without motor. False for all wheels of a robot that has no
+    # other wheels.
     caster: bool
-    why: str
+    why: str  # the reason with its figures
 
 
 @dataclass(frozen=True)
@@ -88,44 +73,27 @@ class MirroredPair:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A robot's parts at one pose.
+    """A robot's parts at one pose."""
 
-    Attributes:
-        base: the root link.
-        floating: whether the base moves freely.
-        size: longest edge of the box, along the base's axes, around all colliders and joints, m.
-        wheels: in the order of the model.
-        legs: one for each wheel.
-        others: joints of no leg and no wheel: arms, or the legs of a robot without wheels.
-        forward: the level direction in which the wheels roll, casters ignored; None without wheels, or if their axles
-            are not parallel.
-        left: the level direction to the left of ``forward``.
-        up: against gravity.
-        middle: a point of the plane between left and right, m.
-        mirrored: mirrored joints; each pair once, the left one first.
-        unmatched: joints without a mirror image.
-        support_height: of the wheels' contacts relative to the base's origin, m (negative: below); None without wheels.
-        support_width: between the outermost contacts across ``forward``, m.
-        support_length: between the outermost contacts along ``forward``, m; almost 0 on one axle.
-        near: joints that lack one property of a wheel, and which.
-    """
-
-    base: str
-    floating: bool
-    size: float
-    wheels: tuple[Wheel, ...]
-    legs: tuple[Leg, ...]
-    others: tuple[str, ...]
+    base: str  # the root link
+    floating: bool  # whether the base moves freely
+    size: float  # longest edge of the box, along the base's axes, around all colliders and joints, m
+    wheels: tuple[Wheel, ...]  # in the order of the model
+    legs: tuple[Leg, ...]  # one for each wheel
+    others: tuple[str, ...]  # joints of no leg and no wheel: arms, or the legs of a robot without wheels
+    # the level direction in which the wheels roll, casters ignored; None without wheels, or if their axles are not
+    # parallel
     forward: Vec3 | None
-    left: Vec3 | None
-    up: Vec3
-    middle: Vec3
-    mirrored: tuple[MirroredPair, ...]
-    unmatched: tuple[str, ...]
+    left: Vec3 | None  # the level direction to the left of ``forward``
+    up: Vec3  # against gravity
+    middle: Vec3  # a point of the plane between left and right, m
+    mirrored: tuple[MirroredPair, ...]  # mirrored joints; each pair once, the left one first
+    unmatched: tuple[str, ...]  # joints without a mirror image
+    # of the wheels' contacts relative to the base's origin, m (negative: below); None without wheels
     support_height: float | None
-    support_width: float
-    support_length: float
-    near: dict[str, str]
+    support_width: float  # between the outermost contacts across ``forward``, m
+    support_length: float  # between the outermost contacts along ``forward``, m; almost 0 on one axle
+    near: dict[str, str]  # joints that lack one property of a wheel, and which
 
     @property
     def wheel_joints(self) -> list[str]:

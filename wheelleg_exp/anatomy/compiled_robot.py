@@ -44,25 +44,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint at the default pose, in rad and rad/s; ``low`` and ``high`` are infinite if the joint has no limits.
-
-    Attributes:
-        armature: reflected rotor inertia, kg·m².
-        inertia: of the joint's load about its axis, kg·m², without armature.
-        effective: inertia that a torque accelerates while all other joints are free, with armature.
-        hold: torque that carries the weight at rest, N·m.
-        drive: its actuator, or None.
-    """
+    """A joint at the default pose, in rad and rad/s; ``low`` and ``high`` are infinite if the joint has no limits."""
 
     default: float
     default_velocity: float
     low: float
     high: float
-    armature: float
-    inertia: float
-    effective: float
-    hold: float
-    drive: Drive | None
+    armature: float  # reflected rotor inertia, kg·m²
+    inertia: float  # of the joint's load about its axis, kg·m², without armature
+    effective: float  # inertia that a torque accelerates while all other joints are free, with armature
+    hold: float  # torque that carries the weight at rest, N·m
+    drive: Drive | None  # its actuator, or None
 
     @property
     def limited(self) -> bool:
@@ -88,27 +80,19 @@ class Balance:
 
 @dataclass(frozen=True)
 class RobotFacts:
-    """Facts of the whole robot: ``mass``, kg, ``gravity``, m/s², and the joints by name, in the robot's order.
-
-    Attributes:
-        wheels: names of the wheels' joints; ``wheel_radius`` is 0 without wheels, m.
-        track: distance between the outermost wheels, m.
-        standing_height: of the root over the ground when the lowest point of the default pose touches the ground, m.
-        clearance: of the lowest point over the ground at the start of episodes, m; negative inside the ground.
-        friction: effective coefficient between wheels and ground.
-        balance: None if the robot does not balance on one axle.
-    """
+    """Facts of the whole robot: ``mass``, kg, ``gravity``, m/s², and the joints by name, in the robot's order."""
 
     mass: float
     gravity: float
     joints: dict[str, Joint]
-    wheels: tuple[str, ...]
+    wheels: tuple[str, ...]  # names of the wheels' joints; ``wheel_radius`` is 0 without wheels, m
     wheel_radius: float
-    track: float
+    track: float  # distance between the outermost wheels, m
+    # of the root over the ground when the lowest point of the default pose touches the ground, m
     standing_height: float
-    clearance: float
-    friction: float
-    balance: Balance | None
+    clearance: float  # of the lowest point over the ground at the start of episodes, m; negative inside the ground
+    friction: float  # effective coefficient between wheels and ground
+    balance: Balance | None  # None if the robot does not balance on one axle
 
     @property
     def weight(self) -> float:
@@ -136,6 +120,8 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
     wheels, radius = anatomy.wheel_joints, max((wheel.radius for wheel in anatomy.wheels), default=0.0)
     lowest = lowest_point(model, data, bodies)
     root_height = float(data.xpos[bodies[0]][2])
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    values = model.geom_friction[np.isin(model.geom_bodyid, list(chain(*_turned(model, anatomy))) or bodies) & solid, 0]
     return RobotFacts(
         mass=float(model.body_mass[bodies].sum()),
         gravity=gravity,
@@ -145,7 +131,7 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
         track=anatomy.support_width,
         standing_height=root_height - lowest if math.isfinite(lowest) else root_height,
         clearance=lowest,
-        friction=_friction(model, list(chain(*_turned(model, anatomy))) or bodies),
+        friction=float(values.min()) if len(values) else 0.0,
         balance=_balance(model, data, bodies, anatomy, gravity),
     )
 
@@ -164,12 +150,6 @@ def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
 
 def _turned(model: mujoco.MjModel, anatomy: Anatomy) -> list[list[int]]:
     return [[model.body(name).id for name in wheel.bodies] for wheel in anatomy.standing]
-
-
-def _friction(model: mujoco.MjModel, bodies: Sequence[int]) -> float:
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    values = model.geom_friction[np.isin(model.geom_bodyid, bodies) & solid, 0]
-    return float(values.min()) if len(values) else 0.0
 
 
 def _joints(
@@ -201,17 +181,10 @@ def _joints(
         joint, dof = model.joint(name), int(model.joint(name).dofadr[0])
         low, high = model.jnt_range[joint.id].tolist() if model.jnt_limited[joint.id] else (-math.inf, math.inf)
         armature = float(model.dof_armature[dof])
-        joints[name] = Joint(
-            default=float(robot.layout.default_joint_pos[index]),
-            default_velocity=float(robot.layout.default_joint_vel[index]),
-            low=low,
-            high=high,
-            armature=armature,
-            inertia=float(matrix[dof, dof]) - armature,
-            effective=1.0 / float(inverse[dof, dof]),
-            hold=float(hold[dof]),
-            drive=drives.get(name),
-        )
+        default, speed = float(robot.layout.default_joint_pos[index]), float(robot.layout.default_joint_vel[index])
+        load, effective = float(matrix[dof, dof]) - armature, 1.0 / float(inverse[dof, dof])
+        drive = drives.get(name)
+        joints[name] = Joint(default, speed, low, high, armature, load, effective, float(hold[dof]), drive)
     return joints
 
 
@@ -325,22 +298,10 @@ def default_position(dof: Dof) -> float:
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
     """Return an ``env.robot`` section without actuators; default positions, rad (m), are by joint."""
-    state = {
-        "pos": [0.0, 0.0, 0.0],
-        "rot": list(rotation),
-        "joint_pos": {name_expression(joint): value for joint, value in positions.items()},
-        "joint_vel": {},
-    }
-    return {
-        "profile": "survey",
-        "asset": name,
-        "base": "auto",
-        "init_state": state,
-        "joint_order": None,
-        "soft_joint_pos_limit_factor": 1.0,
-        "friction_source": "static",
-        "actuators": {},
-    }
+    joint_pos = {name_expression(joint): value for joint, value in positions.items()}
+    state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
+    settings = {"joint_order": None, "soft_joint_pos_limit_factor": 1.0, "friction_source": "static", "actuators": {}}
+    return {"profile": "survey", "asset": name, "base": "auto", "init_state": state, **settings}
 
 
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:

@@ -53,7 +53,10 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
     highest = -down + _LOW * (top + down)  # maximum height of a wheel's lowest point
     for joint in tree.joints:
-        if not _may_roll(tree, joint):
+        # Whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain.
+        body = int(tree.model.jnt_bodyid[joint])
+        last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
+        if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
             continue
         bodies = tree.below(int(tree.model.jnt_bodyid[joint]))
         solid = colliders(tree.model, bodies)
@@ -64,7 +67,8 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
                 near[joint] = "nothing of what it turns collides"
             continue
         shape = _measured(tree, joint, bodies, solid)
-        if not _is_round(tree, shape):
+        round_enough = shape.roundness >= _ROUND or (shape.roundness >= _ROUGH and _spins_freely(tree, shape))
+        if shape.radius < _SMALLEST or not round_enough:
             if tree.turns(joint) > TURNS and _spins_freely(tree, shape):
                 near[joint] = _where_its_shape_is(shape)
             continue
@@ -77,13 +81,6 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
             low_limit, high_limit = tree.model.jnt_range[joint]
             near[joint] = f"its limits of {low_limit:.4g} to {high_limit:.4g} rad keep it from rolling on"
     return found, near
-
-
-def _may_roll(tree: Tree, joint: int) -> bool:
-    """Return whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain."""
-    body = int(tree.model.jnt_bodyid[joint])
-    last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
-    return tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL
 
 
 def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int]) -> Found:
@@ -99,18 +96,15 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     outline = outline[:-2]
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
-    return Found(
-        joint=joint,
-        bodies=tuple(bodies),
-        axis=axis,
-        centre=anchor + axis * (there - back) / 2,
-        radius=radius,
-        width=float(there + back),
-        roundness=roundness,
-        beside=_beside(outline, angles),
-        why=f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
-        f"from the axis all round, within {100 * (1 - roundness):.1f} %",
-    )
+    # The distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round.
+    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
+    shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
+    centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
+    beside = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
+    centre, width = anchor + axis * (there - back) / 2, float(there + back)
+    why = f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
+    why += f"from the axis all round, within {100 * (1 - roundness):.1f} %"
+    return Found(joint, tuple(bodies), axis, centre, radius, width, roundness, beside, why)
 
 
 def _where_its_shape_is(shape: Found) -> str:
@@ -119,20 +113,6 @@ def _where_its_shape_is(shape: Found) -> str:
         return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
     return f"its colliders, unlike its masses, are not round about its axis: they reach {extent} from the axis"
-
-
-def _beside(outline: Array, angles: Array) -> float:
-    """Return the distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round."""
-    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
-    shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
-    centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
-    return float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
-
-
-def _is_round(tree: Tree, shape: Found) -> bool:
-    if shape.radius < _SMALLEST or shape.roundness < _ROUGH:
-        return False
-    return shape.roundness >= _ROUND or _spins_freely(tree, shape)
 
 
 def _spins_freely(tree: Tree, shape: Found) -> bool:
@@ -175,26 +155,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
-    closures = _closures(tree)
-    limbs = _limbs(tree, [pair for _, pair in closures])
-    legs = []
-    for wheel, chain in chains.items():
-        limb = limbs.get(int(model.jnt_bodyid[wheel]), set())
-        beside = [joint for joint in tree.joints if int(model.jnt_bodyid[joint]) in limb and joint not in on_chains]
-        legs.append(
-            Leg(
-                wheel=tree.joint_name(wheel),
-                joints=tuple(map(tree.joint_name, chain)),
-                passive=tuple(tree.joint_name(joint) for joint in chain if joint not in driven),
-                beside=tuple(map(tree.joint_name, beside)),
-                loops=tuple(name for name, pair in closures if limb & set(pair)),
-            )
-        )
-    return legs
-
-
-def _closures(tree: Tree) -> list[tuple[str, tuple[int, int]]]:
-    """Return the equality constraints between two bodies of the robot: name, bodies."""
+    # The equality constraints between two bodies of the robot: name, bodies.
     model, found = tree.model, []
     for index in range(model.neq):
         if int(model.eq_type[index]) not in _HOLDS:
@@ -204,20 +165,25 @@ def _closures(tree: Tree) -> list[tuple[str, tuple[int, int]]]:
             pair = int(model.site_bodyid[pair[0]]), int(model.site_bodyid[pair[1]])
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
-    return found
-
-
-def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int]]:
-    """Return the connected bodies without the base, for each body that is not fixed to the base."""
+    closures = found
+    # The connected bodies without the base, for each body that is not fixed to the base.
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
-    for one, other in [*links, *closures]:
+    for one, other in [*links, *[pair for _, pair in closures]]:
         if one in limbs and other in limbs and limbs[one] is not limbs[other]:
             limbs[one] |= limbs[other]
             for body in limbs[other]:
                 limbs[body] = limbs[one]
-    return limbs
+    legs = []
+    for wheel, chain in chains.items():
+        limb = limbs.get(int(model.jnt_bodyid[wheel]), set())
+        beside = [joint for joint in tree.joints if int(model.jnt_bodyid[joint]) in limb and joint not in on_chains]
+        joints, others = tuple(map(tree.joint_name, chain)), tuple(map(tree.joint_name, beside))
+        passive = tuple(tree.joint_name(joint) for joint in chain if joint not in driven)
+        loops = tuple(name for name, pair in closures if limb & set(pair))
+        legs.append(Leg(tree.joint_name(wheel), joints, passive, others, loops))
+    return legs
 
 
 _APART = 0.15  # A mirrored joint is at most this share of the robot's size away from the mirror image.

@@ -33,25 +33,17 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 @dataclass(frozen=True)
 class Stance:
-    """A standing pose of a robot.
+    """A standing pose of a robot."""
 
-    Attributes:
-        positions: positions of the legs' joints by name, rad (m).
-        height: height of the hips over the wheels' centres, m; ``tallest`` is the largest height that was found.
-        offset: distance of the centre of mass in front of the middle of the wheels' contacts, m; negative behind.
-        lean: pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot
-            on several axles.
-        balanced: whether ``offset`` is almost zero.
-        grounded: whether every wheel of the problem touches level ground.
-    """
-
-    positions: dict[str, float]
-    height: float
-    offset: float
+    positions: dict[str, float]  # positions of the legs' joints by name, rad (m)
+    height: float  # height of the hips over the wheels' centres, m; ``tallest`` is the largest height that was found
+    offset: float  # distance of the centre of mass in front of the middle of the wheels' contacts, m; negative behind
+    # pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot on
+    # several axles.
     lean: float
     tallest: float
-    balanced: bool
-    grounded: bool
+    balanced: bool  # whether ``offset`` is almost zero
+    grounded: bool  # whether every wheel of the problem touches level ground
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
@@ -94,9 +86,7 @@ class _Problem:
         self.preferred = np.clip(self.data.qpos[self.places], self.low, self.high)
         self.spread = self.high - self.low
         self.base = model.body(anatomy.base).id
-        self.bodies = [
-            body for body in range(1, model.nbody) if model.body_rootid[body] == model.body_rootid[self.base]
-        ]
+        self.bodies = [b for b in range(1, model.nbody) if model.body_rootid[b] == model.body_rootid[self.base]]
         turned = {name for wheel in anatomy.standing for name in wheel.bodies}
         self.raised = [body for body in self.bodies if model.body(body).name not in turned]
         rotation = self.data.xmat[self.base].reshape(3, 3)
@@ -115,7 +105,10 @@ class _Problem:
         self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
-        self.pairs = self._pairs()
+        # The mirrored pairs of moving joints, as two indices and a sign.
+        index = {name: number for number, name in enumerate(self.joints)}
+        pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
+        self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
         self.rest = overlap_depths(model, self.data, self.bodies)  # Overlaps of the preferred pose are allowed.
         self.tallest = self.wanted = 0.0
 
@@ -125,12 +118,6 @@ class _Problem:
         keep = _MARGIN * (high - low)
         now = self.data.qpos[self.model.jnt_qposadr[ids]]
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
-
-    def _pairs(self) -> list[tuple[int, int, float]]:
-        """Return the mirrored pairs of moving joints, as two indices and a sign."""
-        index = {name: number for number, name in enumerate(self.joints)}
-        pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
-        return [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
 
     def at(self, positions: Array) -> mujoco.MjData:
         """Return MuJoCo's data of the robot in a pose, with contacts."""
@@ -192,9 +179,12 @@ class _Problem:
         moved = (positions - self.preferred) / self.spread
         # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
         # Balance has a smaller weight on several axles, because they can carry a mass that is between them.
+        sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
+        # The distance of the left wheels in front of the right wheels, m.
+        askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
         errors = [
             (200.0 if self.one_axle else 20.0) * self.offset() / self.size,
-            100.0 * self._askew(centres) / self.size,
+            100.0 * askew / self.size,
             *(500.0 * self._clearances(centres) / self.size),
             *(10.0 * (data.xaxis[self.rolling] @ np.array([self.up, self.forward]).T)).ravel(),
             *(1000.0 * loops / self.size),
@@ -210,13 +200,6 @@ class _Problem:
         """Return the heights of the wheels' lowest points minus the mean height, m, (wheels,)."""
         lows: Array = centres @ self.up - self.radii
         return lows - lows.mean()
-
-    def _askew(self, centres: Array) -> float:
-        """Return how far the left wheels are in front of the right wheels, m."""
-        sides = {side: centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")}
-        if any(len(places) == 0 for places in sides.values()):
-            return 0.0
-        return float((sides["left"].mean(axis=0) - sides["right"].mean(axis=0)) @ self.forward)
 
     def cost(self, positions: Array) -> float:
         return float(np.square(self.residual(positions)).sum())
@@ -246,15 +229,10 @@ class _Problem:
         self.at(positions)
         offset = self.offset()
         above = float((self.data.subtree_com[self.base] - self._centres().mean(axis=0)) @ self.up)
-        return Stance(
-            positions=dict(zip(self.joints, map(float, positions), strict=True)),
-            height=self._height(),
-            offset=offset,
-            lean=-math.atan2(offset, above) if above > 0 and self.one_axle else 0.0,
-            tallest=self.tallest,
-            balanced=abs(offset) <= _BALANCED * self.size,
-            grounded=bool(np.ptp(self._clearances(self._centres())) <= _TOUCHES * self.size),
-        )
+        lean = -math.atan2(offset, above) if above > 0 and self.one_axle else 0.0
+        grounded = bool(np.ptp(self._clearances(self._centres())) <= _TOUCHES * self.size)
+        balanced, by_name = abs(offset) <= _BALANCED * self.size, zip(self.joints, map(float, positions), strict=True)
+        return Stance(dict(by_name), self._height(), offset, lean, self.tallest, balanced, grounded)
 
 
 @dataclass(frozen=True)

@@ -26,23 +26,14 @@ if TYPE_CHECKING:
     from wheelleg_exp.asset.convert_robot import Conversion, convert
 
 _LAZY = {  # Importing a conversion function loads the USD and MuJoCo libraries, which takes a second.
-    "Conversion": "convert_robot",
-    "convert": "convert_robot",
-    "CachedConversion": "conversion_cache",
-    "convert_cached": "conversion_cache",
-    "source_digest": "conversion_cache",
+    **dict.fromkeys(("Conversion", "convert"), "convert_robot"),
+    **dict.fromkeys(("CachedConversion", "convert_cached", "source_digest"), "conversion_cache"),
 }
 
 __all__ = [
-    "BaseMode",
-    "CachedConversion",
-    "Conversion",
-    "Report",
-    "RobotDescription",
-    "convert",
-    "convert_cached",
+    "BaseMode", "CachedConversion", "Conversion", "Report", "RobotDescription", "convert", "convert_cached",
     "source_digest",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

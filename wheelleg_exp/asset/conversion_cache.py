@@ -74,6 +74,7 @@ class CachedConversion:
 
     @property
     def meshes(self) -> tuple[Path, ...]:
+        """The mesh files of the MJCF."""
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
@@ -124,7 +125,22 @@ def convert_cached(
     entry = Path(cache_dir) / key
     if (report := _read(entry)) is not None:
         return CachedConversion(entry / MODEL, report, sources, key, fresh=False)
-    report = _make(source, base, chosen, entry, beside or {})
+    try:
+        entry.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(entry) as folder:
+            draft = folder / "entry"
+            report = convert(source, draft / MODEL, base=base, variants=chosen).report
+            (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
+            for name, path in (beside or {}).items():
+                (target := draft / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, target)
+            (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
+            _publish(draft, entry, folder)
+        report = report
+    except OSError as error:
+        message = f"cannot write the cache '{entry.parent}': {error.strerror or error}"
+        raise WheellegError(message, key=CACHE_KEY, expected="a writable folder") from None
+        report = None
     return CachedConversion(entry / MODEL, report, sources, key, fresh=True)
 
 
@@ -143,9 +159,7 @@ def _read(entry: Path) -> Report | None:
         if not (entry / CONTENTS).is_file():
             return None
         contents = json_value((entry / CONTENTS).read_text(encoding="utf-8"))
-        if _hashes(entry) != contents:
-            return None
-        return Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
+        return None if _hashes(entry) != contents else Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
     except (OSError, TypeError, ValueError):
         return None
 
@@ -153,24 +167,6 @@ def _read(entry: Path) -> Report | None:
 def _hashes(entry: Path) -> dict[str, str]:
     files = sorted(path for path in entry.rglob("*") if path.is_file() and path.name != CONTENTS)
     return {path.relative_to(entry).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
-
-
-def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path, beside: Mapping[str, Path]) -> Report:
-    try:
-        entry.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(entry) as folder:
-            draft = folder / "entry"
-            report = convert(source, draft / MODEL, base=base, variants=variants).report
-            (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
-            for name, path in beside.items():
-                (target := draft / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(path, target)
-            (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
-            _publish(draft, entry, folder)
-        return report
-    except OSError as error:
-        message = f"cannot write the cache '{entry.parent}': {error.strerror or error}"
-        raise WheellegError(message, key=CACHE_KEY, expected="a writable folder") from None
 
 
 def _publish(draft: Path, entry: Path, scratch: Path) -> None:

@@ -21,27 +21,17 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from wheelleg_exp.plain_data import json_value
 
 Kind = Literal[
-    "no_inertial",
-    "no_inertia",
-    "tiny_inertia",
-    "impossible_inertia",
-    "no_colliders",
-    "implausible_size",
-    "end_without_collider",
-    "mesh_not_found",
-    "layer_not_found",
-    "limits_ignored",
-    "no_limits",
-    "placeholder_effort",
+    "no_inertial", "no_inertia", "tiny_inertia", "impossible_inertia", "no_colliders", "implausible_size",
+    "end_without_collider", "mesh_not_found", "layer_not_found", "limits_ignored", "no_limits", "placeholder_effort",
     "placeholder_velocity",
-]
+]  # fmt: skip
 KINDS: tuple[Kind, ...] = get_args(Kind)
 UNITS = "check the units: metres and kilograms; meshes in mm need a scale of 0.001"
 SIZES = (0.01, 20.0)  # m
@@ -177,6 +167,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
+        """The verdict on the conversion, from its findings and warnings."""
         return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
 
     def to_json(self) -> str:
@@ -187,20 +178,16 @@ class Report:
     def from_json(text: str) -> Report:
         """Parse a report."""
         try:
-            return _parse(json_value(text))
+            data = json_value(text)
+            if data["version"] != VERSION:
+                raise ValueError(f"the report has version {data['version']}, expected {VERSION}")
+            fields = {name: value for name, value in data.items() if name != "verdict"}  # a computed property
+            fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
+            fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
+            fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
+            fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
+            fields["warnings"], fields["unresolved"] = tuple(data["warnings"]), tuple(data["unresolved"])
+            fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
+            return Report(**fields)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"a field of the report is missing or invalid: {error}") from error
-
-
-def _parse(data: Mapping[str, Any]) -> Report:
-    if data["version"] != VERSION:
-        raise ValueError(f"the report has version {data['version']}, expected {VERSION}")
-    fields = {name: value for name, value in data.items() if name != "verdict"}  # a computed property
-    fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
-    fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
-    fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
-    fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
-    fields["warnings"] = tuple(data["warnings"])
-    fields["unresolved"] = tuple(data["unresolved"])
-    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
-    return Report(**fields)

@@ -80,17 +80,13 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
             require_near(dof.anchor, key=dof.path, where=str(source))
     for geom in (*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)):
         require_near((*geom.pose.position, *geom.size), key=geom.path, where=str(source))
-    return robot, _with_memory_warning(source, robot, report)
-
-
-def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) -> Report:
     points, available = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
     need = points * POINT_BYTES
     message = f"meshes with {points:,} points and triangles take about {shown_bytes(need)} of memory"
     if need > available:
         expected = f"less than the {shown_bytes(available)} of this machine: meshes with fewer triangles"
         raise AssetError(message, where=str(source), expected=expected)
-    return replace(report, warnings=(*report.warnings, f"{message}: simplify them")) if need > 2**30 else report
+    return robot, replace(report, warnings=(*report.warnings, f"{message}: simplify them")) if need > 2**30 else report
 
 
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
@@ -185,11 +181,10 @@ def _problem_of(source: Path, output: Path) -> str | None:
 def _publish(draft: Path, output: Path, old: Path) -> None:
     """Move the draft MJCF and its meshes to the output path. After an error, restore the old MJCF and its meshes."""
     new, target = mesh_folder(draft), mesh_folder(output)
-    folder = mesh_folder(output)
-    text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
-    foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []
+    text = output.read_text(encoding="utf-8", errors="replace") if target.exists() and output.is_file() else ""
+    foreign = [path.name for path in target.iterdir() if f'file="{path.name}"' not in text] if target.exists() else []
     if foreign:
-        message = f"'{folder}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
+        message = f"'{target}' contains files other than the meshes of '{output.name}', such as '{foreign[0]}'"
         raise AssetError(message, key="-o", expected="another name, or move that folder away")
     try:
         if target.exists():

@@ -97,7 +97,15 @@ def bounded_memory(source: Path) -> Iterator[None]:
     allocates the array before it checks the file. The memory limit applies to all threads of the process.
     """
     require_room()
-    _enter()
+    with _lock:
+        used = used_memory("VmData")
+        if used is not None:
+            import resource
+
+            soft, hard = _open[0] if _open else resource.getrlimit(resource.RLIMIT_DATA)
+            _open.append((soft, hard))
+            bounds = [used + MOST, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)]
+            resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
     try:
         yield
     except MemoryError:
@@ -111,16 +119,3 @@ def bounded_memory(source: Path) -> Iterator[None]:
                 limit = _open.pop()
                 if not _open:
                     resource.setrlimit(resource.RLIMIT_DATA, limit)
-
-
-def _enter() -> None:
-    with _lock:
-        used = used_memory("VmData")
-        if used is None:
-            return
-        import resource
-
-        soft, hard = _open[0] if _open else resource.getrlimit(resource.RLIMIT_DATA)
-        _open.append((soft, hard))
-        bounds = [used + MOST, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)]
-        resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))

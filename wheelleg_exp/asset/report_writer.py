@@ -27,14 +27,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
         return
-    for group in _ends(robot):
-        if not any(geom.collides for body in group for geom in body.geoms):
-            mass = sum(body.inertial.mass for body in group)
-            ledger.find("end_without_collider", group[0].name, group[0].path, mass=mass)
-
-
-def _ends(robot: RobotDescription) -> list[list[Body]]:
-    """Return the group of welded bodies at the end of each limb; the body with the joint comes first in the group."""
+    # The group of welded bodies at the end of each limb; the body with the joint comes first in the group.
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -44,7 +37,10 @@ def _ends(robot: RobotDescription) -> list[list[Body]]:
         groups.setdefault(top[body.name], []).append(body)
         if body.parent is not None and not welded:
             inner.add(top[body.parent])
-    return [group for name, group in groups.items() if name not in inner and group[0].dofs]
+    for name, group in groups.items():
+        if name not in inner and group[0].dofs and not any(geom.collides for body in group for geom in body.geoms):
+            mass = sum(body.inertial.mass for body in group)
+            ledger.find("end_without_collider", group[0].name, group[0].path, mass=mass)
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
@@ -54,9 +50,8 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    solid = ((model.geom_contype | model.geom_conaffinity) != 0) & (
-        model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE.value
-    )
+    infinite = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
+    solid = ((model.geom_contype | model.geom_conaffinity) != 0) & ~infinite
     moving = model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value
     for body in robot.children(None):
         root = model.body(body.name).id
@@ -89,18 +84,11 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
     )
 
 
-def report_of(
-    robot: RobotDescription,
-    ledger: Ledger,
-    *,
-    source: str,
-    root: str,
-    stage: dict[str, Any],
-    variants: dict[str, str],
-    unresolved: tuple[str, ...],
-    layers: dict[str, str],
-) -> Report:
-    """Return the conversion report of a robot that was read from a USD or URDF file."""
+def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
+    """Return the conversion report of a robot that was read from a USD or URDF file.
+
+    ``origin`` has the report's fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers``.
+    """
     note_colliders(robot, ledger)
     names: dict[str, str] = {}
     for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
@@ -110,13 +98,13 @@ def report_of(
         for item in ledger.findings
     )
     mapped, assumed, left, warnings = ledger.entries()
+    # How the root bodies connect to the world: floating, fixed, or attached by a joint.
+    roots = list(robot.children(None))
+    kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return Report(
-        source=source,
+        **origin,
         model=robot.name,
-        root=root,
-        base=base_of(robot),
-        stage=stage,
-        variants=variants,
+        base=", ".join(sorted(kinds)),
         totals=totals(robot, findings),
         bodies={body.path: body.name for body in robot.bodies},
         joints={dof.name: dof.path for dof in robot.dofs},
@@ -126,18 +114,9 @@ def report_of(
         assumptions=assumed,
         left_out=left,
         warnings=warnings,
-        unresolved=unresolved,
         findings=findings,
         authored=plain(ledger.authored),
-        layers=layers,
     )
-
-
-def base_of(robot: RobotDescription) -> str:
-    """Return how the root bodies connect to the world: floating, fixed, or attached by a joint."""
-    roots = list(robot.children(None))
-    kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
-    return ", ".join(sorted(kinds))
 
 
 def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:

@@ -107,16 +107,19 @@ class Frame:
 
     @staticmethod
     def identity() -> Frame:
+        """Return the frame without rotation and translation."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
     def of(pose: Pose) -> Frame:
+        """Return the frame of a pose."""
         return Frame(rotation_matrix(pose.rotation), np.array(pose.position))
 
     def __matmul__(self, other: Frame) -> Frame:
         return Frame(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Frame:
+        """Return the inverse transform."""
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
     def pose(self) -> Pose:
@@ -125,6 +128,7 @@ class Frame:
         return Pose(vec3(self.translation), (w, x, y, z))
 
     def matrix(self) -> Array:
+        """Return the frame as a 4x4 matrix."""
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = self.rotation, self.translation
         return out
@@ -144,9 +148,7 @@ def split_scale(linear: Array) -> tuple[Array, Array]:
     u, values, vt = np.linalg.svd(linear)
     rotation = u @ vt
     stretch = vt.T @ np.diag(values) @ vt
-    if np.linalg.det(rotation) < 0:
-        return -rotation, -stretch
-    return rotation, stretch
+    return (-rotation, -stretch) if np.linalg.det(rotation) < 0 else (rotation, stretch)
 
 
 def rigid_part(matrix: Array) -> Frame:

@@ -288,9 +288,11 @@ class RobotDescription:
 
     @property
     def colliders(self) -> tuple[Geom, ...]:
+        """The colliding shapes of all bodies, without those of the world."""
         return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)
 
     def children(self, parent: str | None) -> Iterator[Body]:
+        """Yield the bodies below a parent body (None: the world)."""
         return (body for body in self.bodies if body.parent == parent)
 
 

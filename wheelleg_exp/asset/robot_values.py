@@ -31,11 +31,8 @@ def _body(body: Body) -> dict[str, Any]:
     tensor = turn @ np.diag(inertial.moments) @ turn.T
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     return {
-        "path": body.path,
-        "parent": body.parent,
-        "floating": body.floating,
-        "position": list(body.pose.position),
-        "rotation": list(body.pose.rotation),
+        **_fields(body, "path parent floating"),
+        **_fields(body.pose, "position rotation"),
         "mass": inertial.mass,
         "center_of_mass": list(inertial.center_of_mass),
         "inertia": [float(tensor[place]) for place in order],  # The order is xx, yy, zz, xy, xz, yz.
@@ -46,14 +43,7 @@ def _joint(dof: Dof, body: str) -> dict[str, Any]:
     return {
         "path": dof.path,
         "body": body,
-        "kind": dof.kind,
-        "axis": list(dof.axis),
-        "anchor": list(dof.anchor),
-        "range": None if dof.range is None else list(dof.range),
-        "stiffness": dof.stiffness,
-        "damping": dof.damping,
-        "armature": dof.armature,
-        "frictionloss": dof.frictionloss,
+        **_fields(dof, "kind axis anchor range stiffness damping armature frictionloss"),
         "effort": effort_of(dof),
         "velocity": dof.max_velocity,
         "drive": None if dof.drive is None else _drive(dof.drive),
@@ -70,26 +60,16 @@ def effort_of(dof: Dof) -> float | None:
 
 def _drive(drive: Drive) -> dict[str, Any]:
     return {
-        "kind": drive.kind,
-        "kp": drive.stiffness,
-        "kv": drive.damping,
-        "effort": drive.effort,
-        "target_position": drive.target_position,
-        "target_velocity": drive.target_velocity,
-        "acceleration": drive.acceleration,
+        **{"kind": drive.kind, "kp": drive.stiffness, "kv": drive.damping},
+        **_fields(drive, "effort target_position target_velocity acceleration"),
     }
 
 
 def _collider(geom: Geom, owner: str | None) -> dict[str, Any]:
     return {
-        "path": geom.path,
-        "body": owner,
-        "kind": geom.kind,
-        "size": list(geom.size),
-        "position": list(geom.pose.position),
-        "rotation": list(geom.pose.rotation),
-        "mesh": geom.mesh,
-        "friction": geom.friction,
+        **{"path": geom.path, "body": owner, **_fields(geom, "kind size")},
+        **_fields(geom.pose, "position rotation"),
+        **_fields(geom, "mesh friction"),
     }
 
 
@@ -100,6 +80,10 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
         "low": mesh.vertices.min(axis=0).tolist(),
         "high": mesh.vertices.max(axis=0).tolist(),
     }
+
+
+def _fields(part: object, names: str) -> dict[str, Any]:
+    return {name: plain(getattr(part, name)) for name in names.split()}
 
 
 def plain(value: Any) -> Any:

@@ -29,9 +29,7 @@ class AbsentKey(ConfigError):
     """An override names a key that does not exist."""
 
 
-def not_one_of(
-    message: str, name: object, names: Iterable[object], *, key: str, where: str | None = None
-) -> ConfigError:
+def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where: str | None = None) -> ConfigError:
     """Return the error for an unknown name. The error lists the valid names and suggests the most similar one."""
     known = [str(valid) for valid in names]
     expected, nearest = "one of " + ", ".join(known), nearest_name(str(name), known)

@@ -15,7 +15,7 @@ from typing import Any
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.explaining.key_documentation import FIELDS, KEYS, meaning_of, parameter_lines
-from wheelleg_exp.config.tree_lookup import at
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import PARAMETERS, agent_options
 from wheelleg_exp.terms import term_binding
@@ -66,7 +66,8 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
         return Slot(_root(tree), reader=_name(_root(tree)))
     named = slots(tree, keys[:-1])
     if named:
-        return named.get(keys[-1]) or (Slot() if _has_unknown_target(at(tree, keys[:-1])) else None)
+        node = section_at(tree, keys[:-1])
+        return named.get(keys[-1]) or (Slot() if TARGET in node and target_of(node) is None else None)
     above = slot(tree, keys[:-1])
     element = None if above is None else _element(above, keys[-1])
     if element is None:
@@ -128,10 +129,6 @@ def target_of(node: Any) -> Callable[..., Any] | None:
         return None
 
 
-def _has_unknown_target(node: Any) -> bool:
-    return isinstance(node, Mapping) and TARGET in node and target_of(node) is None
-
-
 def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:
     path = ".".join(keys)
     if not keys:
@@ -173,10 +170,7 @@ def _target_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
 
 def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
     hints, lines = type_hints(target), parameter_lines(target)
-    return {
-        name: Slot(hints.get(name, Any), parameter.default, lines.get(name, ""), _name(target))
-        for name, parameter in parameters.items()
-    }
+    return {n: Slot(hints.get(n, Any), p.default, lines.get(n, ""), _name(target)) for n, p in parameters.items()}
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,15 +18,8 @@ import mujoco
 import numpy as np
 import torch
 
+from wheelleg_exp.anatomy import compiled_robot as robots
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
-from wheelleg_exp.anatomy.compiled_robot import (
-    CompiledRobot,
-    Drive,
-    at_default,
-    compiled_robot,
-    default_position,
-    provisional_robot,
-)
 from wheelleg_exp.anatomy.stance import weight_over_axle
 from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.robot_description import Dof
@@ -60,6 +53,7 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
     return dict(zip(env.reward_manager.active_terms, (total / steps).tolist(), strict=True))
 
 
+Drives = Mapping[str, robots.Drive | None]
 _MJCF = (".xml", ".mjcf")
 _ENDLESS = 1e6  # A limit above this value in a robot file means unlimited.
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
@@ -73,24 +67,19 @@ def case_of_file(source: Path) -> Case:
         if source.suffix.lower() in _MJCF:
             model = _model(source)
             drives = _drives_of_mjcf(model)
-            return _file_case(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
+            return _file_case(source, env, _robot_of_mjcf(source, model), drives)
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
-        positions = {dof.name: default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"}
         described = conversion.description
-        robot = provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
+        positions = {dof.name: robots.default_position(dof) for dof in described.dofs if dof.kind != "ball"}
+        robot = robots.provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
-        return _file_case(source, env, conversion.output, robot, conversion, drives, described.driven)
+        return _file_case(source, env, robot, drives, conversion)
 
 
 def _file_case(
-    source: Path,
-    env: Mapping[str, Any],
-    mjcf: Path,
-    robot: dict[str, Any],
-    conversion: Conversion | None,
-    drives: Mapping[str, Drive | None],
-    driven: Collection[str],
+    source: Path, env: Mapping[str, Any], robot: dict[str, Any], drives: Drives, conversion: Conversion | None = None
 ) -> Case:
+    mjcf = conversion.output if conversion else source
     config = {"env": {**env, "robot": robot}}
     scene = SceneManager(config["env"], mjcf, 1).scene
     if not scene.robot.joint_names:
@@ -98,11 +87,12 @@ def _file_case(
         raise AssetError("the robot has no joints", where=str(source), expected=expected)
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
-    lowest = lowest_point(model, at_default(model, scene.robot), bodies)
+    lowest = lowest_point(model, robots.at_default(model, scene.robot), bodies)
     # Put the robot on the ground, because a robot file contains no spawn height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
-    found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None, driven)
+    driven = conversion.description.driven if conversion else list(drives)
+    found, facts = robots.compiled_robot(model, scene.robot, conversion.report if conversion else None, driven)
     wheels = set(facts.wheels)
     joints = {}
     for name, joint in facts.joints.items():
@@ -111,13 +101,13 @@ def _file_case(
     return Case(config, replace(facts, joints=joints), found)
 
 
-def _drive(dof: Dof) -> Drive | None:
+def _drive(dof: Dof) -> robots.Drive | None:
     """Return a joint's drive from the robot file. A missing limit means unlimited."""
     effort = effort_of(dof)
     if dof.drive is None and effort is None and dof.max_velocity is None:
         return None
     stiffness, damping = (dof.drive.stiffness, dof.drive.damping) if dof.drive is not None else (0.0, 0.0)
-    return Drive("", stiffness, damping, _limit(effort), _limit(dof.max_velocity))
+    return robots.Drive("", stiffness, damping, _limit(effort), _limit(dof.max_velocity))
 
 
 def _limit(value: float | None) -> float:
@@ -147,12 +137,12 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
         positions[name] = float(min(max(qpos[model.jnt_qposadr[joint]], low), high))
     start = int(model.jnt_qposadr[free[0]]) + 3 if len(free) else None
     rotation = qpos[start : start + 4].tolist() if start is not None else [1.0, 0.0, 0.0, 0.0]
-    return provisional_robot(source.stem, rotation, positions)
+    return robots.provisional_robot(source.stem, rotation, positions)
 
 
-def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
+def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, robots.Drive | None]:
     """Return the drive of each joint with actuators: the sums of their gains and efforts, limited by the joint."""
-    drives: dict[str, Drive | None] = {}
+    drives: dict[str, robots.Drive | None] = {}
     for joint in range(model.njnt):
         own = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
         parts = [_actuator(model, index) for index in np.flatnonzero(own).tolist()]
@@ -162,7 +152,7 @@ def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
         damping += float(model.dof_damping[model.jnt_dofadr[joint]])
         if model.jnt_actfrclimited[joint]:
             effort = min(effort, float(np.abs(model.jnt_actfrcrange[joint]).max()))
-        drives[model.joint(joint).name] = Drive("", stiffness, damping, effort, math.inf)
+        drives[model.joint(joint).name] = robots.Drive("", stiffness, damping, effort, math.inf)
     return drives
 
 
@@ -235,13 +225,9 @@ class Diagnosis:
 
 def diagnose_file(source: Path) -> Diagnosis:
     """Diagnose a robot's USD, URDF, or MJCF file. An unreadable file raises AssetError."""
-    return diagnose_case(str(source), case_of_file(source))
-
-
-def diagnose_case(subject: str, case: Case) -> Diagnosis:
-    """Diagnose a robot without a task, as ``case_of_file`` returns it."""
+    case = case_of_file(source)
     found = [finding for name in OF_ROBOT for finding in RULES[name](case)]
-    return Diagnosis(subject, case, tuple(found), (), tuple(notes_on(case)))
+    return Diagnosis(str(source), case, tuple(found), (), tuple(notes_on(case)))
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
@@ -276,15 +262,17 @@ def notes_on(case: Case) -> list[str]:
         notes.append(f"{loops} closed loops in the legs: their joints share the load and move together")
     if anatomy.forward is not None and anatomy.one_axle:
         weight = weight_over_axle(robot)
-        notes.append(
-            f"the centre of mass above the wheels: {1e3 * weight.ahead:+.1f} mm along forwards, "
-            f"{1e3 * weight.above:.4g} mm over the axle, a lean of {math.degrees(weight.lean):+.1f}°"
-        )
-    notes += _opposite(robot)
+        note = f"the centre of mass above the wheels: {1e3 * weight.ahead:+.1f} mm along forwards, "
+        note += f"{1e3 * weight.above:.4g} mm over the axle, a lean of {math.degrees(weight.lean):+.1f}°"
+        notes.append(note)
+    signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
+    backwards = [name for name, sign in signs.items() if sign < 0]
+    if backwards and len(backwards) < len(signs):
+        notes += [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight"]
     return notes + _self_collisions(robot)
 
 
-def _wheels_note(robot: CompiledRobot) -> str:
+def _wheels_note(robot: robots.CompiledRobot) -> str:
     anatomy = robot.anatomy
     if not anatomy.wheels:
         return "no wheels: no low hinge without limits at the end of a chain turns a round part about a level axis"
@@ -295,25 +283,15 @@ def _wheels_note(robot: CompiledRobot) -> str:
     return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) in the base '{anatomy.base}'"
 
 
-def _opposite(robot: CompiledRobot) -> list[str]:
-    signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
-    backwards = [name for name, sign in signs.items() if sign < 0]
-    if backwards and len(backwards) < len(signs):
-        return [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight"]
-    return []
-
-
-def _self_collisions(robot: CompiledRobot) -> list[str]:
+def _self_collisions(robot: robots.CompiledRobot) -> list[str]:
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
     hidden = [pair for pair in pairs if not pair.acts and not pair.neighbours]
     if not hidden:
         return []
     one, other = hidden[0].bodies
     count = "1 pair of bodies" if len(hidden) == 1 else f"{len(hidden)} pairs of bodies"
-    return [
-        f"self_collisions: true would start with {count} that overlap, the deepest '{one}' and '{other}' by "
-        f"{1e3 * hidden[0].depth:.3g} mm"
-    ]
+    note = f"self_collisions: true would start with {count} that overlap, the deepest '{one}' and '{other}' by "
+    return [note + f"{1e3 * hidden[0].depth:.3g} mm"]
 
 
 def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:

@@ -69,13 +69,17 @@ def _contribution(case: Case, term: TermView) -> Contribution:
     if term.kind in FAILURES:
         return Contribution(term, weight, "one failure", 1.0, 1.0, once=True)
     if term.kind in TRACKING:
-        error, text = tracking_tolerance(case, term)
+        unit = "m/s" if TRACKING[term.kind] == "lin" else "rad/s"
+        error = SHARE * command_size(case, term)
         if error == 0.0:
             return Contribution(term, weight, "no error: nothing is commanded", 1.0)
         value = _bell(error, term)
+        text = f"{error:.3g} {unit}, a tenth of the command"
         return Contribution(term, weight, text, value, 1.0 - value)
     if term.kind in _KERNELS:
-        return _kernel(case, term, weight)
+        text, square = _KERNELS[term.kind](case, term)
+        value = _bell(math.sqrt(square), term)
+        return Contribution(term, weight, text, value, 1.0 - value)
     known = _SQUARES.get(term.kind)
     if known is None:
         return Contribution(term, weight, "", None)
@@ -83,22 +87,9 @@ def _contribution(case: Case, term: TermView) -> Contribution:
     return Contribution(term, weight, text, value, value)
 
 
-def _kernel(case: Case, term: TermView, weight: float) -> Contribution:
-    text, square = _KERNELS[term.kind](case, term)
-    value = _bell(math.sqrt(square), term)
-    return Contribution(term, weight, text, value, 1.0 - value)
-
-
 def _bell(error: float, term: TermView) -> float:
     ratio = error / float(term.node["std"])
     return math.exp(-ratio * ratio)
-
-
-def tracking_tolerance(case: Case, term: TermView) -> tuple[float, str]:
-    """Return a tenth of the largest command, as a number and as a text."""
-    unit = "m/s" if TRACKING[term.kind] == "lin" else "rad/s"
-    error = SHARE * command_size(case, term)
-    return error, f"{error:.3g} {unit}, a tenth of the command"
 
 
 def command_size(case: Case, term: TermView) -> float:

@@ -47,10 +47,8 @@ def armature_ratio(case: Case) -> Iterator[Finding]:
         if balance is not None and name in case.facts.wheels:
             figures |= {"pitch_inertia": balance.inertia, "pitch_ratio": joint.armature / balance.inertia}
             figures["translation_kg"] = joint.armature / case.facts.wheel_radius**2
-            extra = (
-                f", {figures['pitch_ratio']:.0f} times the pitch inertia of the parts above the wheels "
-                f"({balance.inertia:.3g}), and equivalent to {figures['translation_kg']:.0f} kg of translation"
-            )
+            extra = f", {figures['pitch_ratio']:.0f} times the pitch inertia of the parts above the wheels "
+            extra += f"({balance.inertia:.3g}), and equivalent to {figures['translation_kg']:.0f} kg of translation"
         yield Finding(
             f"env.robot.actuators.{group}.armature",
             f"{joint.armature:g} kg·m² is {ratio:.0f} times the load of {joint.inertia:.3g} kg·m² on '{name}'{extra}",
@@ -142,8 +140,10 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
     at an action of 0: the error is gravity's torque over kp, minus the action's offset. Joints of closed loops are not
     checked, because several joints share the load. Source: statics, tau = -J^T F.
     """
+    legs = case.robot.anatomy.legs if case.robot is not None else ()
+    looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
     for group, joints in _groups(case).items():
-        joints = {name: joint for name, joint in joints.items() if name not in _in_loops(case)}
+        joints = {name: joint for name, joint in joints.items() if name not in looped}
         if not joints:
             continue
         largest = max(abs(joint.hold) for joint in joints.values())
@@ -153,7 +153,13 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        shifts = _shifts(case)
+        # The difference between the target at an action of 0 and the default position of each joint, rad.
+        shifts: dict[str, float] = {}
+        for term in case.terms("actions", "actions.JointPositionAction"):
+            if not term.node.get("use_default_offset", True):
+                moved = case.joints(term.node)
+                offsets = case.by_joint(term.node.get("offset", 0.0), list(moved), 0.0)
+                shifts |= {name: float(offsets[name]) - joint.default for name, joint in moved.items()}
         sags = {
             other: abs(found.hold / found.drive.stiffness - shifts.get(other, 0.0))
             for other, found in joints.items()
@@ -171,22 +177,6 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
                 {"stiffness": found_drive.stiffness, "load": abs(load), "sag_rad": sags[name]},
                 ({key: stiffness},),
             )
-
-
-def _in_loops(case: Case) -> set[str]:
-    legs = case.robot.anatomy.legs if case.robot is not None else ()
-    return {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
-
-
-def _shifts(case: Case) -> dict[str, float]:
-    """Return the difference between the target at an action of 0 and the default position of each joint, rad."""
-    shifts: dict[str, float] = {}
-    for term in case.terms("actions", "actions.JointPositionAction"):
-        if not term.node.get("use_default_offset", True):
-            joints = case.joints(term.node)
-            offsets = case.by_joint(term.node.get("offset", 0.0), list(joints), 0.0)
-            shifts |= {name: float(offsets[name]) - joint.default for name, joint in joints.items()}
-    return shifts
 
 
 @rule
@@ -212,9 +202,8 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
         message = f"on '{name}' (I = {joint.effective:.3g} kg·m², dt = {dt:.4g} s) kd·dt/I is {a:.3g} and kp·dt²/I is "
         message += f"{b:.3g}: unstable, {'explicit' if explicit else 'implicit'} drives need {criterion}"
         hint = "an implicit drive, a finer env.sim.dt, more armature or smaller gains"
-        yield Finding(
-            f"env.robot.actuators.{group}.{key}", message, hint, {"a": a, "b": b, "inertia": joint.effective, "dt": dt}
-        )
+        figures = {"a": a, "b": b, "inertia": joint.effective, "dt": dt}
+        yield Finding(f"env.robot.actuators.{group}.{key}", message, hint, figures)
 
 
 @rule
@@ -275,6 +264,4 @@ def drive_bandwidth(case: Case) -> Iterator[Finding]:
 
 
 def _bandwidth(joint: Joint, drive: Drive) -> float:
-    if drive.stiffness > 0.0:
-        return math.sqrt(drive.stiffness / joint.effective)
-    return drive.damping / joint.effective
+    return math.sqrt(drive.stiffness / joint.effective) if drive.stiffness > 0.0 else drive.damping / joint.effective

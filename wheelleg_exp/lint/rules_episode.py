@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
-from wheelleg_exp.anatomy.compiled_robot import Balance, CompiledRobot
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
 from wheelleg_exp.lint.reward_tolerances import HEIGHTS
-from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, below, largest, rule
+from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below, largest, rule
 from wheelleg_exp.lint.rules_drives import wheel_friction
 
 _SCALES = ("events.reset_joints_by_scale",)
@@ -144,18 +144,6 @@ _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 
 
-def largest_push(case: Case, balance: Balance) -> float:
-    """Return the largest push that the wheels can catch, m/s: a/w.
-
-    a is the wheels' acceleration, limited by friction or the drive, and w = sqrt(m g h / I). The capture point is v/w
-    ahead, and the wheels must get there with less than a/w². Source: Pratt et al., "Capture point", 2006.
-    """
-    facts = case.facts
-    drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
-    spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
-    return min(wheel_friction(case) * facts.gravity, spin * facts.wheel_radius) / balance.pendulum
-
-
 @rule
 def push_size(case: Case) -> Iterator[Finding]:
     """A push that no policy can catch, or that every policy catches.
@@ -169,7 +157,11 @@ def push_size(case: Case) -> Iterator[Finding]:
     balance = case.facts.balance
     if balance is None:
         return
-    limit = largest_push(case, balance)
+    # The largest push that the wheels can catch, m/s: a/w.
+    facts = case.facts
+    drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
+    spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
+    limit = min(wheel_friction(case) * facts.gravity, spin * facts.wheel_radius) / balance.pendulum
     for term in case.terms("events", *_PUSHES):
         ranges, axes = term.node["velocity_range"], "x" if term.node.get("frame") == "yaw" else "xy"
         pushes = {axis: largest(ranges.get(axis)) for axis in axes}
@@ -178,20 +170,11 @@ def push_size(case: Case) -> Iterator[Finding]:
             much = push > limit
             weak, strong = at_least(_WEAK * limit), at_most(limit)
             verdict = "too much" if much else f"{100 * push / limit:.0f} % of the limit, which tests nothing"
-            yield Finding(
-                f"{term.path}.velocity_range",
-                f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}",
-                f"between {weak:g} and {strong:g} m/s",
-                {"push": push, "limit": limit, "ratio": push / limit},
-                tuple(
-                    {
-                        f"{term.path}.velocity_range.{axis}": [-size, size]
-                        for axis, found in pushes.items()
-                        if found == push or found > limit
-                    }
-                    for size in (weak, strong)
-                ),
-            )
+            key, hint = f"{term.path}.velocity_range", f"between {weak:g} and {strong:g} m/s"
+            changed = [f"{key}.{axis}" for axis, found in pushes.items() if found == push or found > limit]
+            advice = tuple({name: [-size, size] for name in changed} for size in (weak, strong))
+            message = f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}"
+            yield Finding(key, message, hint, {"push": push, "limit": limit, "ratio": push / limit}, advice)
 
 
 @rule
@@ -312,13 +295,25 @@ def episode_end(case: Case) -> Iterator[Finding]:
     """
     terms = list(case.terms("terminations"))
     if not any(term.node.get("time_out", False) for term in terms):
-        yield Finding(
-            "env.terminations",
-            "no termination is a time-out: the end of an episode would count as a failure, or never come",
-            "the termination time_out, with time_out: true",
-        )
+        message = "no termination is a time-out: the end of an episode would count as a failure, or never come"
+        yield Finding("env.terminations", message, "the termination time_out, with time_out: true")
     for term in terms:
-        yield from _ends_at_once(case, term)
+        if term.kind in _LOWEST:
+            limit, start = float(term.node["minimum_height"]), case.facts.standing_height
+            if limit >= start:
+                key, lower = f"{term.path}.minimum_height", below(start, 3)
+                message = f"the robot stands {1e3 * start:.4g} mm high, below the limit of {1e3 * limit:.4g} mm"
+                hint = f"at most {lower:g} m"
+                yield Finding(key, message, hint, {"limit_m": limit, "standing_m": start}, ({key: lower},))
+        if term.kind == "terminations.bad_orientation":
+            limit, tilt = float(term.node["limit_angle"]), _drawn_tilt(case)
+            if limit >= _UPRIGHT or limit <= tilt:
+                key, bounds = f"{term.path}.limit_angle", (above(tilt), below(_UPRIGHT))
+                why = "has no effect" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
+                message = f"a limit of {limit:.3g} rad {why}"
+                hint = f"between {bounds[0]:g} and {bounds[1]:g} rad"
+                figures = {"limit_rad": limit, "drawn_rad": tilt}
+                yield Finding(key, message, hint, figures, tuple({key: bound} for bound in bounds))
     balance = case.facts.balance
     if balance is not None and case.episode_s < _FALLS / balance.pole:
         key, shortest = "env.episode_length_s", at_least(_FALLS / balance.pole)
@@ -330,25 +325,6 @@ def episode_end(case: Case) -> Iterator[Finding]:
             {"episode_s": case.episode_s, "time_constant_s": 1 / balance.pole},
             ({key: shortest},),
         )
-
-
-def _ends_at_once(case: Case, term: TermView) -> Iterator[Finding]:
-    if term.kind in _LOWEST:
-        limit, start = float(term.node["minimum_height"]), case.facts.standing_height
-        if limit >= start:
-            key, lower = f"{term.path}.minimum_height", below(start, 3)
-            message = f"the robot stands {1e3 * start:.4g} mm high, below the limit of {1e3 * limit:.4g} mm"
-            hint = f"at most {lower:g} m"
-            yield Finding(key, message, hint, {"limit_m": limit, "standing_m": start}, ({key: lower},))
-    if term.kind == "terminations.bad_orientation":
-        limit, tilt = float(term.node["limit_angle"]), _drawn_tilt(case)
-        if limit >= _UPRIGHT or limit <= tilt:
-            key, bounds = f"{term.path}.limit_angle", (above(tilt), below(_UPRIGHT))
-            why = "has no effect" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
-            message = f"a limit of {limit:.3g} rad {why}"
-            hint = f"between {bounds[0]:g} and {bounds[1]:g} rad"
-            figures = {"limit_rad": limit, "drawn_rad": tilt}
-            yield Finding(key, message, hint, figures, tuple({key: bound} for bound in bounds))
 
 
 def _drawn_tilt(case: Case) -> float:

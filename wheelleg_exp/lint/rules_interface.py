@@ -169,9 +169,8 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
         message = f"the angle of {', '.join(endless)} has no bound: {angle:.0f} rad within an episode at the drive's "
         message += f"{speed:g} rad/s, and more in a longer run"
         hint = "asset_cfg without these joints, joint_pos_sin_cos for them, or a clip"
-        yield Finding(
-            term.path, message, hint, {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s}
-        )
+        figures = {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s}
+        yield Finding(term.path, message, hint, figures)
 
 
 @rule
@@ -183,9 +182,12 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
-        if _is_normalised(case, term.path.split(".")[2]):
+        group = term.path.split(".")[2]
+        networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
+        if bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks):
             continue
-        size, scale = signal_size(case, term), largest_scale(term.node.get("scale"))
+        size, given = signal_size(case, term), term.node.get("scale")
+        scale = largest(given) if isinstance(given, list) else 1.0 if given is None else abs(float(given))
         if size is None or size == 0.0 or _SMALLEST <= size * scale <= _LARGEST:
             continue
         fitting = at_most(1.0 / size)
@@ -193,18 +195,6 @@ def observation_scale(case: Case) -> Iterator[Finding]:
         hint = f"a scale near {fitting:g}, so that the largest value is near 1"
         figures = {"largest": size, "scale": scale, "seen": size * scale}
         yield Finding(term.path, message, hint, figures, ({f"{term.path}.scale": fitting},))
-
-
-def largest_scale(scale: Any) -> float:
-    """Return the largest factor of a term's ``scale``; 1 if the term has no ``scale``."""
-    if scale is None:
-        return 1.0
-    return largest(scale) if isinstance(scale, list) else abs(float(scale))
-
-
-def _is_normalised(case: Case, group: str) -> bool:
-    networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
-    return bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks)
 
 
 def signal_size(case: Case, term: TermView) -> float | None:
@@ -251,13 +241,13 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
 def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Finding]:
     if not corrupt:
         group = term.path.split(".terms.")[0]
-        yield Finding(
-            f"{term.path}.noise",
-            "the noise has no effect, because its group has enable_corruption: false",
-            f"{group}.enable_corruption=true, or no noise",
-        )
+        message = "the noise has no effect, because its group has enable_corruption: false"
+        yield Finding(f"{term.path}.noise", message, f"{group}.enable_corruption=true, or no noise")
         return
-    sizes = _noise_sizes(term.node["noise"], term.path)
+    node, sizes = term.node["noise"], dict[str, float]()
+    kind = kind_of(str(node[TARGET]), f"{term.path}.noise") if isinstance(node, Mapping) and TARGET in node else ""
+    if kind in _NOISES and node.get("operation", "add") == "add":
+        sizes = {name: float(node.get(name, default)) for name, default in _NOISES[kind].items()}
     size, noise = signal_size(case, term), max(map(abs, sizes.values()), default=0.0)
     if size and noise >= _LOUD * size:
         quiet = below(_LOUD * size)
@@ -268,10 +258,3 @@ def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Findi
             {"noise": noise, "signal": size, "ratio": noise / size},
             ({f"{term.path}.noise.{name}": math.copysign(quiet, value) for name, value in sizes.items()},),
         )
-
-
-def _noise_sizes(noise: Any, path: str) -> dict[str, float]:
-    kind = kind_of(str(noise[TARGET]), f"{path}.noise") if isinstance(noise, Mapping) and TARGET in noise else ""
-    if kind not in _NOISES or noise.get("operation", "add") != "add":
-        return {}
-    return {name: float(noise.get(name, default)) for name, default in _NOISES[kind].items()}

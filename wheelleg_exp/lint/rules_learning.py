@@ -6,15 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.lint.reward_tolerances import (
-    FAILURES,
-    TRACKING,
-    Contribution,
-    command_size,
-    contributions,
-    earned_per_second,
-    tracked,
-)
+from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
 _AUDIBLE = 0.01  # An error must cost at least this share of a perfect robot's reward.
@@ -28,9 +20,7 @@ def still_score(speed: float, std: float) -> float:
 
     The integral is sqrt(pi)/2 · erf(V/std) · std/V.
     """
-    if speed == 0.0:
-        return 1.0
-    return math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
+    return 1.0 if speed == 0.0 else math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
 
 
 @rule
@@ -41,8 +31,8 @@ def tracking_std(case: Case) -> Iterator[Finding]:
     of standing commands excluded. If all commands are zero, a robot that drifts at one unit of wheel action must not
     earn the reward. Source: the integral of the reward's own formula.
     """
-    for term in tracked(case):
-        std, size = float(term.node["std"]), command_size(case, term)
+    for term in tolerances.tracked(case):
+        std, size = float(term.node["std"]), tolerances.command_size(case, term)
         finding = _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
         if finding is not None:
             yield finding
@@ -59,7 +49,7 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
     earned = sum(value for value in trial.values() if value > 0.0)
     for term in case.terms("rewards"):
         cost = -trial.get(term.name, 0.0)
-        if term.kind in FAILURES or cost <= _OUTWEIGHS * earned:
+        if term.kind in tolerances.FAILURES or cost <= _OUTWEIGHS * earned:
             continue
         weight = float(term.node["weight"])
         key, right = f"{term.path}.weight", at_most(abs(weight) * _OUTWEIGHS * earned / cost, 2)
@@ -70,7 +60,7 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
 
 
 def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
-    unit, score, narrow = _UNIT[TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
+    unit, score, narrow = _UNIT[tolerances.TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
     if score < _STILL:
         return None
     standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
@@ -85,8 +75,15 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
 
 
 def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
-    kind = TRACKING[term.kind]
-    drift = _unit_speed(case)
+    kind = tolerances.TRACKING[term.kind]
+    # The speed at one unit of wheel action, m/s; a tenth of the top speed without such an action.
+    drift = 0.1 * case.facts.top_speed
+    for action in case.terms("actions", "actions.JointVelocityAction"):
+        scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
+        driven = [abs(float(scale)) for name, scale in scales.items() if name in case.facts.wheels]
+        if driven:
+            drift = max(driven) * case.facts.wheel_radius
+            break
     if kind == "ang":
         drift = 2 * drift / case.facts.track if case.facts.track else 0.0
     score = math.exp(-((drift / std) ** 2))
@@ -104,16 +101,6 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
     )
 
 
-def _unit_speed(case: Case) -> float:
-    """Return the speed at one unit of wheel action, m/s; a tenth of the top speed without such an action."""
-    for action in case.terms("actions", "actions.JointVelocityAction"):
-        scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
-        driven = [abs(float(scale)) for name, scale in scales.items() if name in case.facts.wheels]
-        if driven:
-            return max(driven) * case.facts.wheel_radius
-    return 0.1 * case.facts.top_speed
-
-
 @rule
 def reward_too_small(case: Case) -> Iterator[Finding]:
     """A reward term that costs almost nothing at its tolerance.
@@ -122,8 +109,8 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
     less than 1 % of a perfect robot's reward, the term is lost in the noise of the return. Source: Isaac Lab 2.3.2,
     ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
-    found = contributions(case)
-    best = earned_per_second(found)
+    found = tolerances.contributions(case)
+    best = tolerances.earned_per_second(found)
     for item in found:
         cost = abs(item.weight) * item.cost
         if item.once or item.value is None or cost == 0.0 or best <= 0.0 or cost >= _AUDIBLE * best:
@@ -139,7 +126,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
         )
 
 
-def _audible_weight(item: Contribution, best: float) -> float | None:
+def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
     """Return the smallest weight at which a term's error costs enough; None if a larger weight only earns more."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
@@ -155,9 +142,9 @@ def falling_pays(case: Case) -> Iterator[Finding]:
     horizon 1/(1 - gamma). If this is below the price of a failure, the policy learns to fall at once. Source: the
     discounted return of PPO, Schulman et al. 2017.
     """
-    found = contributions(case)
+    found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
-    failing = sum(c.weight * (c.value or 0.0) for c in found if c.term.kind in FAILURES)
+    failing = sum(c.weight * (c.value or 0.0) for c in found if c.term.kind in tolerances.FAILURES)
     steps = min(horizon_steps(case), case.episode_steps)
     if living * steps < failing or (living < 0.0 and failing == 0.0):
         yield Finding(
@@ -271,13 +258,9 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
             hint = "another weight of the reward or of the curriculum, or no curriculum"
             yield Finding(f"{term.path}.weight", message, hint, {"before": before, "after": weight})
         if start >= total:
-            yield Finding(
-                f"{term.path}.num_steps",
-                f"training takes {total} control steps, and the weight changes after {start}",
-                f"num_steps below {total}, or more iterations",
-                {"num_steps": start, "total_steps": total},
-                ({f"{term.path}.num_steps": total - 1},),
-            )
+            message = f"training takes {total} control steps, and the weight changes after {start}"
+            hint, figures = f"num_steps below {total}, or more iterations", {"num_steps": start, "total_steps": total}
+            yield Finding(f"{term.path}.num_steps", message, hint, figures, ({f"{term.path}.num_steps": total - 1},))
 
 
 @rule

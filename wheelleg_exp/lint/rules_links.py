@@ -55,11 +55,8 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     bodies = {robot.model.body(name).id for name in robot.bodies}
     solid = (robot.model.geom_contype != 0) | (robot.model.geom_conaffinity != 0)
     if not any(int(body) in bodies for body in robot.model.geom_bodyid[solid]):
-        yield Finding(
-            _ASSET,
-            "no shape of the robot collides: it falls through the ground",
-            "colliders: a cylinder on each wheel and a box on the body are enough to start with",
-        )
+        hint = "colliders: a cylinder on each wheel and a box on the body are enough to start with"
+        yield Finding(_ASSET, "no shape of the robot collides: it falls through the ground", hint)
 
 
 @rule
@@ -94,9 +91,8 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     lost = [text for text in report.warnings if _LOST.search(text) and not LOST_MESH.search(text)] if report else []
     if lost:
         shown = "; ".join(lost[:_MOST]) + (f"; and {len(lost) - _MOST} more" if len(lost) > _MOST else "")
-        yield Finding(
-            _ASSET, shown, "correct the file: `wheelleg convert` shows all warnings", {"lost": float(len(lost))}
-        )
+        hint = "correct the file: `wheelleg convert` shows all warnings"
+        yield Finding(_ASSET, shown, hint, {"lost": float(len(lost))})
 
 
 _LIGHT = 2.0  # The smallest density of a robot, kg/m³, in a cube as long as the robot.
@@ -202,12 +198,8 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         hint = 'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)'
         yield Finding(_ASSET, message, hint, {"joints": float(len(free))})
     if locked:
-        yield Finding(
-            _ASSET,
-            f"the limits of {listed(locked)} allow no motion",
-            "the limits of the real joint, or a fixed joint; exporters write 0 to 0 if CAD has no limits",
-            {"joints": float(len(locked))},
-        )
+        hint = "the limits of the real joint, or a fixed joint; exporters write 0 to 0 if CAD has no limits"
+        yield Finding(_ASSET, f"the limits of {listed(locked)} allow no motion", hint, {"joints": float(len(locked))})
 
 
 @rule
@@ -220,7 +212,10 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    weak = _written_as_zero(case)
+    # The joints with an effort or speed of 0 in a file without a task; a task defines its own limits.
+    kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
+    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
+    weak = [name for name in facts.joints if name in written and "task" not in case.config]
     for name, joint in facts.joints.items():
         if joint.drive is None:
             continue
@@ -239,12 +234,3 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             drive = facts.joints[names[0]].drive
             key = f"env.robot.actuators.{drive.group}" if drive is not None else "env.robot.actuators"
             yield Finding(key, f"{listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
-
-
-def _written_as_zero(case: Case) -> list[str]:
-    """Return the joints with an effort or speed of 0 in a file without a task; a task defines its own limits."""
-    if "task" in case.config:
-        return []
-    kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
-    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
-    return [name for name in case.facts.joints if name in written]

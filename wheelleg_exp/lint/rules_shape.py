@@ -37,25 +37,19 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
     acting = [pair for pair in pairs if pair.acts and not pair.neighbours and pair.depth > _TOUCHES * size]
     if acting:
-        pairs_text = ", ".join(
-            f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_SHOWN]
-        )
+        texts = [f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_SHOWN]]
         more = f", and {len(acting) - _SHOWN} more pairs" if len(acting) > _SHOWN else ""
-        message = f"bodies overlap at the start and will be thrown apart: {pairs_text}{more}"
+        message = f"bodies overlap at the start and will be thrown apart: {', '.join(texts)}{more}"
         hint = "env.robot.self_collisions: false lets them pass through each other; or another default pose, smaller "
         hint += "colliders, or these pairs filtered in the file"
-        yield Finding(
-            "env.robot.self_collisions", message, hint, {"pairs": float(len(acting)), "depth_m": acting[0].depth}
-        )
+        figures = {"pairs": float(len(acting)), "depth_m": acting[0].depth}
+        yield Finding("env.robot.self_collisions", message, hint, figures)
     for pair in pairs:
         if pair.neighbours and pair.depth > _DEEP * size:
-            yield Finding(
-                _ASSET,
-                f"'{pair.bodies[1]}' is {1e3 * pair.depth:.3g} mm deep inside its parent '{pair.bodies[0]}': "
-                f"more than a quarter of the robot's size of {size:.3g} m",
-                "check the origin of the joint between them, and the units and origins of their colliders",
-                {"depth_m": pair.depth, "size_m": size},
-            )
+            message = f"'{pair.bodies[1]}' is {1e3 * pair.depth:.3g} mm deep inside its parent '{pair.bodies[0]}': "
+            message += f"more than a quarter of the robot's size of {size:.3g} m"
+            hint = "check the origin of the joint between them, and the units and origins of their colliders"
+            yield Finding(_ASSET, message, hint, {"depth_m": pair.depth, "size_m": size})
 
 
 @rule
@@ -133,7 +127,19 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     weight = weight_over_axle(robot)
     chosen = "task" in case.config
     if not robot.anatomy.one_axle:
-        yield from _outside(robot, weight.place, _EDGE if chosen else 0.0)
+        anatomy, base = robot.anatomy, robot.model.body(robot.anatomy.base).id
+        local = robot.data.xmat[base].reshape(3, 3).T @ (weight.place - robot.data.xpos[base])
+        ahead = float(local @ np.array(anatomy.forward))
+        contacts = [float(np.array(wheel.contact) @ np.array(anatomy.forward)) for wheel in anatomy.standing]
+        margin = min(ahead - min(contacts), max(contacts) - ahead)
+        if margin < (_EDGE if chosen else 0.0) * anatomy.support_length:
+            yield Finding(
+                "env.robot.init_state.joint_pos",
+                f"the centre of mass is {1e3 * abs(margin):.3g} mm {'outside' if margin < 0 else 'inside'} the "
+                f"outermost wheels, which are {1e3 * anatomy.support_length:.4g} mm apart: the robot tips over them",
+                "a pose with the wheels farther apart, or the masses nearer to the middle",
+                {"margin_m": margin, "length_m": anatomy.support_length},
+            )
         return
     if abs(weight.lean) <= (_LEAN if chosen else _DRAWN_LEAN):
         return
@@ -141,9 +147,8 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     pose = balanced_pose(robot)
     figures = {"offset_m": weight.ahead, "lean_rad": weight.lean, "height_m": weight.above}
     if pose is not None:
-        hint = "with a level base, the centre of mass is over the axle at " + ", ".join(
-            f"{name}: {value:g}" for name, value in pose.items()
-        )
+        positions = ", ".join(f"{name}: {value:g}" for name, value in pose.items())
+        hint = f"with a level base, the centre of mass is over the axle at {positions}"
         key = "env.robot.init_state.joint_pos"
     else:
         hint = f"start with the base turned by {-weight.lean:.3g} rad about its left axis, or move the masses"
@@ -155,22 +160,6 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         hint,
         figures,
     )
-
-
-def _outside(robot: CompiledRobot, place: np.ndarray, edge: float) -> Iterator[Finding]:
-    anatomy, base = robot.anatomy, robot.model.body(robot.anatomy.base).id
-    local = robot.data.xmat[base].reshape(3, 3).T @ (place - robot.data.xpos[base])
-    ahead = float(local @ np.array(anatomy.forward))
-    contacts = [float(np.array(wheel.contact) @ np.array(anatomy.forward)) for wheel in anatomy.standing]
-    margin = min(ahead - min(contacts), max(contacts) - ahead)
-    if margin < edge * anatomy.support_length:
-        yield Finding(
-            "env.robot.init_state.joint_pos",
-            f"the centre of mass is {1e3 * abs(margin):.3g} mm {'outside' if margin < 0 else 'inside'} the outermost "
-            f"wheels, which are {1e3 * anatomy.support_length:.4g} mm apart: the robot tips over them",
-            "a pose with the wheels farther apart, or the masses nearer to the middle",
-            {"margin_m": margin, "length_m": anatomy.support_length},
-        )
 
 
 @rule
@@ -246,9 +235,7 @@ def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
     """Return whether the last joints of two legs about the wheels' axle have equal signs, or no such joints exist."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
-    signs = {
-        name: pair.sign for pair in anatomy.mirrored if pair.left != pair.right for name in (pair.left, pair.right)
-    }
+    signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
     alike = [signs[name] > 0 for name in chain if name in signs and abs(float(_axis(robot, name) @ left)) > _ALONG]
     return not alike or alike[-1]
 
@@ -286,29 +273,21 @@ def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     pairs = [pair for pair in robot.drawn.mirrored if pair.left != pair.right]
     displaced = [pair for pair in pairs if pair.offset > _PLACE * robot.drawn.size or pair.tilt > _TILT]
     if displaced:
-        yield _displaced(displaced, set(robot.drawn.wheel_joints))
+        first, more = displaced[0], len(displaced) - 1
+        what = "the wheels of " if first.left in set(robot.drawn.wheel_joints) else ""
+        by = ", by the middles of their colliders" if what else ""
+        others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
+        message = f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
+        message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
+        figures = {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(displaced))}
+        yield Finding(_ASSET, message, _HINT, figures)
     findings = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
     yield from findings[:_MOST]
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
     alone = [name for name in robot.drawn.unmatched if name in legs]
     if alone and len(robot.drawn.wheels) % 2 == 0:
-        yield Finding(
-            _ASSET,
-            ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side",
-            "check the origins of these joints in the file",
-        )
-
-
-def _displaced(pairs: list[MirroredPair], wheels: set[str]) -> Finding:
-    first, more = pairs[0], len(pairs) - 1
-    what = "the wheels of " if first.left in wheels else ""
-    by = ", by the middles of their colliders" if what else ""
-    others = f"; nor are {more} more pairs" if more > 1 else "; nor is one more pair" if more else ""
-    message = f"{what}'{first.left}' and '{first.right}' are not mirror images: {1e3 * first.offset:.3g} mm and "
-    message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
-    return Finding(
-        _ASSET, message, _HINT, {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))}
-    )
+        message = ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side"
+        yield Finding(_ASSET, message, "check the origins of these joints in the file")
 
 
 def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
@@ -324,7 +303,18 @@ def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
         )
     else:
         yield from _centres(robot, one, other, max(masses))
-    yield from _limits(robot, pair)
+    model = robot.model
+    left_id, right_id = (model.joint(name).id for name in (pair.left, pair.right))
+    if not (model.jnt_limited[left_id] and model.jnt_limited[right_id]):
+        return
+    low, high = (model.jnt_range[left_id] - robot.zero(pair.left)).tolist()
+    image = sorted((pair.sign * (model.jnt_range[right_id] - robot.zero(pair.right))).tolist())
+    worst = max(abs(low - image[0]), abs(high - image[1]))
+    if worst > _ANGLE:
+        ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[left_id], model.jnt_range[right_id])]
+        message = f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
+        message += f"{worst:.3g} off"
+        yield Finding(_ASSET, message, _HINT, {"difference": worst})
 
 
 def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterator[Finding]:
@@ -351,21 +341,6 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
         )
 
 
-def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
-    model = robot.model
-    one, other = (model.joint(name).id for name in (pair.left, pair.right))
-    if not (model.jnt_limited[one] and model.jnt_limited[other]):
-        return
-    low, high = (model.jnt_range[one] - robot.zero(pair.left)).tolist()
-    image = sorted((pair.sign * (model.jnt_range[other] - robot.zero(pair.right))).tolist())
-    worst = max(abs(low - image[0]), abs(high - image[1]))
-    if worst > _ANGLE:
-        ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[one], model.jnt_range[other])]
-        message = f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are not mirror images: "
-        message += f"{worst:.3g} off"
-        yield Finding(_ASSET, message, _HINT, {"difference": worst})
-
-
 @rule
 def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """An asymmetric default pose of a symmetric robot.
@@ -387,8 +362,6 @@ def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             wrong.append((pair, robot.position(pair.left), robot.position(pair.right), wanted))
     if wrong:
         positions = ", ".join(f"{p.left} at {a:.4g} and {p.right} at {b:.4g}" for p, a, b, _ in wrong[:_MOST])
-        hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST])
+        hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST]) + " mirrors the left side"
         message = f"the default pose is asymmetric: {positions}"
-        yield Finding(
-            "env.robot.init_state.joint_pos", message, f"{hint} mirrors the left side", {"pairs": float(len(wrong))}
-        )
+        yield Finding("env.robot.init_state.joint_pos", message, hint, {"pairs": float(len(wrong))})

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from importlib import resources
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
@@ -58,19 +57,11 @@ def _problem(name: str) -> str | None:
         return "is a value in YAML, not a name"
     if name.lower() in _OWN:
         return "is the name of another part of a project"
-    stock = _stock(name)
-    if stock is not None:
-        return f"is the name of a stock config, {stock}"
+    stock = sorted(configs_dir().rglob(f"{name}.yaml"), key=lambda file: (file.parent.name != "task", file))
+    if stock:  # Tasks come first.
+        return f"is the name of a stock config, {stock[0].relative_to(configs_dir()).with_suffix('').as_posix()}"
     if name in sys.stdlib_module_names or importlib.util.find_spec(name) is not None:
         return "is the name of an installed Python package"
-    return None
-
-
-def _stock(name: str) -> str | None:
-    files = sorted(configs_dir().rglob("*.yaml"))
-    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # Search the tasks first.
-        if file.stem == name:
-            return file.relative_to(configs_dir()).with_suffix("").as_posix()
     return None
 
 
@@ -100,15 +91,12 @@ _PURPOSES = {
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
     """Return the texts of a project by path; ``asset`` and ``configs`` are relative to its asset and config folders."""
-    rows = [
-        f"| `configs/{file}` | {_PURPOSES[group]} |" for file in configs if (group := file.split("/")[0]) in _PURPOSES
-    ]
+    groups = {file: file.split("/")[0] for file in configs}
+    rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
     folder = resources.files("wheelleg_exp.project") / "templates"
-    return {
-        _filled(file, words): _filled((folder / template).read_text(encoding="utf-8"), words)
-        for file, template in _TEMPLATES.items()
-    }
+    texts = {file: (folder / template).read_text(encoding="utf-8") for file, template in _TEMPLATES.items()}
+    return {_filled(file, words): _filled(text, words) for file, text in texts.items()}
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
@@ -153,8 +141,13 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
         beside = Path(os.path.relpath(home.parent / path.name))
         raise NameTaken("a project cannot be inside wheelleg_exp itself", key=str(path), nearest=str(beside))
-    if source is not None:
-        _require_source(source)
+    if source is not None and not source.is_file():
+        folder = source.absolute().parent
+        names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
+        near = None if source.is_dir() else nearest_name(source.name, names)
+        nearest = str(source.with_name(near)) if near else None
+        message = "the path is a folder" if source.is_dir() else "there is no such file"
+        raise AssetError(message, key=f"--robot {source}", expected="a USD or URDF file", nearest=nearest)
     # Write a draft folder next to the target and rename it, so that a failed check leaves no files at the target.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
@@ -171,25 +164,20 @@ def _require_free(path: Path) -> None:
         raise NameTaken("the folder exists already, and no file is overwritten", key=str(path), expected="a new name")
 
 
-def _require_source(source: Path) -> None:
-    if source.is_file():
-        return
-    folder = source.absolute().parent
-    beside = [file.name for file in folder.iterdir()] if folder.is_dir() else []
-    nearest = None if source.is_dir() else nearest_name(source.name, beside)
-    raise AssetError(
-        "the path is a folder" if source.is_dir() else "there is no such file",
-        key=f"--robot {source}",
-        expected="a USD or URDF file",
-        nearest=str(source.with_name(nearest)) if nearest else None,
-    )
-
-
 def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    robot = _surveyed(source, draft / "assets" / name, env, pose, allow_missing)
+    # Copy and survey a robot. An error names the file of the user, not the copy.
+    folder = draft / "assets" / name
+    try:
+        robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
+    except AssetError as error:
+        for part in ("message", "key", "where"):
+            value = getattr(error, part)
+            if value is not None:
+                setattr(error, part, value.replace(str(folder), str(source.parent)))
+        raise
     asset = f"{name}/{source.name}"
     texts = {f"robot/{name}.yaml": robot_yaml(name, asset, robot), **config_files(name, robot)}
     write(draft, {f"configs/{file}": text for file, text in texts.items()})
@@ -204,25 +192,9 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
         if accepted:
             task = draft / projects.CONFIGS / "task" / f"{name}.yaml"
-            lines = "".join(
-                f"    {rule}: {json.dumps(f'a property of this robot: {text}', ensure_ascii=False)}\n"
-                for rule, text in accepted.items()
-            )
+            reasons = {rule: f"a property of this robot: {text}" for rule, text in accepted.items()}
+            lines = "".join(f"    {rule}: {json.dumps(text, ensure_ascii=False)}\n" for rule, text in reasons.items())
             task.write_text(task.read_text(encoding="utf-8") + lines, encoding="utf-8")
     finally:
         projects.forget(draft)
     return robot, accepted
-
-
-def _surveyed(
-    source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float], allow_missing: bool
-) -> Survey:
-    """Copy and survey a robot. An error names the file of the user, not the copy."""
-    try:
-        return survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
-    except AssetError as error:
-        for part in ("message", "key", "where"):
-            text = getattr(error, part)
-            if text is not None:
-                setattr(error, part, text.replace(str(folder), str(source.parent)))
-        raise

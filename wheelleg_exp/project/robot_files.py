@@ -40,8 +40,13 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {Path(layer.realPath.split("[")[0]) for layer in layers if layer.realPath}
         files |= {Path(asset.split("[")[0]) for asset in assets}
         files = {file.resolve() for file in files if file.is_file()}
-        if not _copied_in_place(source, files, folder):
-            _localize(source, folder, chosen)
+        if _copied_in_place(source, files, folder):
+            return folder / source.name
+        # Copy a stage and files outside its folder. The USD library rewrites the paths in the copy.
+        done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
+        if not done or not (folder / source.name).is_file():
+            message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
+            raise AssetError(message, where=str(source), expected=expected)
     return folder / source.name
 
 
@@ -52,27 +57,23 @@ def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdU
     """
     from pxr import UsdUtils
 
-    layers = {layer.realPath for layer in _all_layers(source)}
+    found: dict[str, Sdf.Layer] = {}
+    todo = open_layers(source)
+    while todo:
+        item = todo.pop()
+        if item.identifier not in found:
+            found[item.identifier] = item
+            paths = {Path(item.ComputeAbsolutePath(name)) for name in _asset_paths(item)}
+            for path in sorted(paths):
+                if str(path) not in found and path.suffix.lower() in SUFFIXES and path.exists():
+                    todo += open_layers(path)
+    layers = {layer.realPath for layer in list(found.values())}
 
     def choose(layer: Sdf.Layer, named: UsdUtils.DependencyInfo) -> UsdUtils.DependencyInfo:
         files = [layer.ComputeAbsolutePath(name) for name in (named.assetPath, *named.dependencies)]
         return named if all(file in layers or _is_look(Path(file)) for file in files) else UsdUtils.DependencyInfo()
 
     return choose
-
-
-def _all_layers(source: Path) -> list[Sdf.Layer]:
-    found: dict[str, Sdf.Layer] = {}
-    todo = open_layers(source)
-    while todo:
-        layer = todo.pop()
-        if layer.identifier not in found:
-            found[layer.identifier] = layer
-            files = {Path(layer.ComputeAbsolutePath(name)) for name in _asset_paths(layer)}
-            for file in sorted(files):
-                if str(file) not in found and file.suffix.lower() in SUFFIXES and file.exists():
-                    todo += open_layers(file)
-    return list(found.values())
 
 
 def _asset_paths(layer: Sdf.Layer) -> set[str]:
@@ -95,18 +96,6 @@ def _is_look(file: Path) -> bool:
     if file.suffix.lower() not in LOOKS:
         return False
     return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
-
-
-def _localize(
-    source: Path, folder: Path, chosen: Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]
-) -> None:
-    """Copy a stage and files outside its folder. The USD library rewrites the paths in the copy."""
-    from pxr import UsdUtils
-
-    done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
-    if not done or not (folder / source.name).is_file():
-        message = "the robot's layers cannot be copied"
-        raise AssetError(message, where=str(source), expected="a file whose layers lie in its own folder")
 
 
 def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:

@@ -67,10 +67,6 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     held = robot.legs if joints is None else list(joints)
     loads = {name: _load(robot, name) for name in held}
 
-    def default_stiffness(name: str) -> float:
-        wanted = max(loads[name].inertia * _LEG_RATE**2, loads[name].hold / _SAG)
-        return min(wanted, 2 * loads[name].stiffest)
-
     def file_stiffness(name: str) -> float | None:
         kp, effort = _stiffness(dofs[name]), _effort(dofs[name])
         reason = ""
@@ -86,14 +82,6 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
         untaken.add(name)
         return None
 
-    stiffness, given = _filled(robot, held, file_stiffness, default_stiffness)
-
-    def file_damping(name: str) -> float | None:
-        return _damping(dofs[name]) if name not in untaken else None
-
-    def default_damping(name: str) -> float:
-        return 2 * _DAMPING_RATIO * math.sqrt(stiffness[name] * max(loads[name].inertia, loads[name].carried))
-
     def file_effort(name: str) -> float | None:
         effort = _effort(dofs[name])
         if effort is not None and effort < max(loads[name].holds_now, _WEAK * loads[name].hold):
@@ -101,11 +89,13 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
             return None
         return effort
 
-    def default_effort(name: str) -> float:
-        return max(_STRENGTH * loads[name].hold, stiffness[name] * _SAG * _STRENGTH)
-
-    damping, own = _filled(robot, held, file_damping, default_damping)
-    effort, limited = _filled(robot, held, file_effort, default_effort)
+    wanted = {n: max(load.inertia * _LEG_RATE**2, load.hold / _SAG) for n, load in loads.items()}
+    stiffness, given = _filled(robot, held, file_stiffness, lambda n: min(wanted[n], 2 * loads[n].stiffest))
+    critical = {n: math.sqrt(stiffness[n] * max(load.inertia, load.carried)) for n, load in loads.items()}
+    own_damping = {n: None if n in untaken else _damping(dofs[n]) for n in held}
+    damping, own = _filled(robot, held, own_damping.__getitem__, lambda n: 2 * _DAMPING_RATIO * critical[n])
+    strong = {n: max(_STRENGTH * load.hold, stiffness[n] * _SAG * _STRENGTH) for n, load in loads.items()}
+    effort, limited = _filled(robot, held, file_effort, strong.__getitem__)
     velocity, fast = _filled(robot, held, lambda name: _velocity(dofs[name]), lambda _: _LEG_SPEED)
     found = {"stiffness": given, "damping": own, "effort": limited, "velocity": fast}
     return Gains(stiffness, damping, effort, velocity, [name for name, complete in found.items() if complete], refused)
@@ -148,16 +138,11 @@ def wheel_gains(robot: Survey) -> Gains:
     facts, count = robot.facts, max(1, len(robot.wheels))
     share = facts.mass / count * robot.radius**2
 
-    def default_damping(name: str) -> float:
-        return (facts.joints[name].effective + share) / _WHEEL_TIME
-
-    def default_effort(_: str) -> float:
-        return _TRACTION * _traction(robot)
-
-    dofs = robot.dofs
-    damping, own = _filled(robot, robot.wheels, lambda name: _speed_gain(dofs[name]), default_damping)
-    slips = _traction(robot)
-    refused: list[str] = []
+    dofs, refused = robot.dofs, list[str]()
+    started = {name: (facts.joints[name].effective + share) / _WHEEL_TIME for name in robot.wheels}
+    damping, own = _filled(robot, robot.wheels, lambda n: _speed_gain(dofs[n]), started.__getitem__)
+    # The torque at which a wheel slips, N·m.
+    slips = max(facts.friction, 0.5) * facts.weight / count * robot.radius
 
     def file_effort(name: str) -> float | None:
         effort = _effort(dofs[name])
@@ -166,19 +151,11 @@ def wheel_gains(robot: Survey) -> Gains:
             return None
         return effort
 
-    effort, limited = _filled(robot, robot.wheels, file_effort, default_effort)
-    velocity, fast = _filled(
-        robot, robot.wheels, lambda name: _velocity(dofs[name]), lambda _: _GROUND_SPEED / robot.radius
-    )
+    effort, limited = _filled(robot, robot.wheels, file_effort, lambda _: _TRACTION * slips)
+    velocity, fast = _filled(robot, robot.wheels, lambda n: _velocity(dofs[n]), lambda _: _GROUND_SPEED / robot.radius)
     found = {"damping": own, "effort": limited, "velocity": fast}
     none = dict.fromkeys(robot.wheels, 0.0)
     return Gains(none, damping, effort, velocity, [name for name, complete in found.items() if complete], refused)
-
-
-def _traction(robot: Survey) -> float:
-    """Return the torque at which a wheel slips, N·m."""
-    facts = robot.facts
-    return max(facts.friction, 0.5) * facts.weight / max(1, len(robot.wheels)) * robot.radius
 
 
 def _filled(
@@ -236,6 +213,13 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
         if moved
         else "  # rad; all joints are 0"
     )
+    groups = ""
+    if robot.legs:
+        groups += _group("legs", robot.legs, leg_gains(robot))
+    if robot.held:
+        groups += _group("held", robot.held, leg_gains(robot, robot.held))
+    if robot.wheels:
+        groups += _group("wheels", robot.wheels, wheel_gains(robot))
     return f"""# @package env.robot
 # {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_counted(len(robot.wheels), "wheel")}{size}{held}.
 profile: {name}    # name in results
@@ -251,7 +235,7 @@ joint_order: null                  # breadth first, as in PhysX; or a list of al
 soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
 friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
 {_frame(robot)}{_self_collisions(robot)}actuators:
-{_groups(robot)}"""
+{groups}"""
 
 
 def spawn_height(robot: Survey) -> float:
@@ -298,17 +282,6 @@ def _counted(count: int, what: str) -> str:
 def _limits(robot: Survey) -> str:
     at_zero = [n for n, dof in robot.dofs.items() if dof.range is not None and not dof.range[0] <= 0.0 <= dof.range[1]]
     return "; 0 is outside the limits of " + ", ".join(at_zero) if at_zero else ""
-
-
-def _groups(robot: Survey) -> str:
-    groups = ""
-    if robot.legs:
-        groups += _group("legs", robot.legs, leg_gains(robot))
-    if robot.held:
-        groups += _group("held", robot.held, leg_gains(robot, robot.held))
-    if robot.wheels:
-        groups += _group("wheels", robot.wheels, wheel_gains(robot))
-    return groups
 
 
 def _group(name: str, joints: list[str], gains: Gains) -> str:

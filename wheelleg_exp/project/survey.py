@@ -59,9 +59,7 @@ class Standing:
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
     """Choose how a robot stands, near the pose ``qpos`` of shape (nq,)."""
     stance = solve_stance(model, anatomy, qpos)
-    lean = 0.0
-    if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN:
-        lean = stance.lean
+    lean = stance.lean if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN else 0.0
     frame = _frame(anatomy, lean)
     w, x, y, z = (float(part) for part in qpos[3:7]) if frame is None else (1.0, 0.0, 0.0, 0.0)
     return Standing(frame, (w, x, y, z), {} if stance is None else stance.positions, stance, lean)
@@ -79,9 +77,8 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     if np.all((axes * near).sum(axis=1) >= _ALONG) and abs(np.linalg.det(near) - 1.0) < 1e-9:
         axes = near
     forward, left, up = axes
-    axes = np.array(
-        [math.cos(lean) * forward + math.sin(lean) * up, left, math.cos(lean) * up - math.sin(lean) * forward]
-    )
+    cos, sin = math.cos(lean), math.sin(lean)
+    axes = np.array([cos * forward + sin * up, left, cos * up - sin * forward])
     if np.allclose(axes, np.eye(3)):
         return None
     quat = np.empty(4)
@@ -156,7 +153,10 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         rotation = next(conversion.description.children(None)).pose.rotation
         robot = provisional_robot(conversion.description.name, rotation, chosen)
         scene = SceneManager({**env, "robot": robot}, conversion.output, 1).scene
-        _require_floating(scene.robot, source)
+        if not scene.robot.floating:
+            message = f"joints connect the base to the world ({scene.robot.joint_names[0]}, ...), so the robot cannot "
+            message += "stand or fall"
+            raise AssetError(message, where=str(source), expected="a base that can move freely")
         model = scene.spec.compile()
         lost = missing_colliders(conversion.report, model)
         if lost and not allow_missing:
@@ -176,25 +176,13 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         return _measured(conversion, scene.robot, model, chosen, standing)
 
 
-def _require_floating(robot: Robot, source: Path) -> None:
-    if not robot.floating:
-        message = (
-            f"joints connect the base to the world ({robot.joint_names[0]}, ...), so the robot cannot stand or fall"
-        )
-        raise AssetError(message, where=str(source), expected="a base that can move freely")
-
-
 def _measured(
-    conversion: Conversion,
-    robot: Robot,
-    model: mujoco.MjModel,
-    positions: Mapping[str, float],
-    standing: Standing | None,
+    conversion: Conversion, robot: Robot, model: mujoco.MjModel, pose: Mapping[str, float], standing: Standing | None
 ) -> Survey:
     description = conversion.description
     dofs = {dof.name: dof for dof in description.dofs}
     dofs = {name: dofs[name] for name in robot.joint_names}
-    data = _at(model, robot, positions)
+    data = _at(model, robot, pose)
     limited = with_written_limits(model, conversion.report)
     anatomy = anatomy_of(limited, data.qpos, description.driven or None)
     wheels = anatomy.wheel_joints
@@ -221,7 +209,7 @@ def _measured(
         held=[name for name in driven if name not in limbs],
         wheels=[name for name in dofs if name in wheels and name not in passive],
         passive=passive,
-        positions={name: positions[name] for name in dofs},
+        positions={name: pose[name] for name in dofs},
         rotation=(w, x, y, z),
         standing=standing,
         overlaps={(model.body(a).name, model.body(b).name): depth for (a, b), depth in depths},
@@ -270,10 +258,8 @@ def _notes(
     if not upright:
         notes.append("the root link's z axis does not point up, so the task leaves out terms that require it")
     if not anatomy.wheels:
-        notes.append(
-            "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so "
-            "the task has no wheels"
-        )
+        text = "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so "
+        notes.append(text + "the task has no wheels")
     lifted = [wheel.joint for wheel in anatomy.wheels if not wheel.stands]
     if lifted:
         count = f"only {len(anatomy.standing)} of {len(anatomy.wheels)} wheels"

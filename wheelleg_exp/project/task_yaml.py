@@ -26,12 +26,41 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
     """Return the texts of the task file and of the project's own terms, by path below ``configs/``."""
     files = {f"task/{name}.yaml": task_yaml(name, robot), f"reward/{name}_upright.yaml": _upright(name, robot)}
     if robot.legs:
-        files[f"action/{name}_legs.yaml"] = _leg_action(name, robot)
-        files[f"observation/{name}_leg_pos.yaml"] = _leg_positions(name, robot)
+        files[f"action/{name}_legs.yaml"] = f"""# Legs: position targets around the default pose.
+{name}_legs:
+  _target_: wheelleg_exp.mdp.actions.JointPositionAction
+  joint_names: {names(robot.legs, 4, 15)}
+  scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
+  use_default_offset: true
+"""
+        endless = [joint for joint in robot.legs if robot.dofs[joint].range is None]
+        clip = f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
+        note = "Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance."
+        files[f"observation/{name}_leg_pos.yaml"] = f"""# {note}
+{name}_leg_pos:
+  _target_: wheelleg_exp.mdp.observations.joint_pos_rel
+  asset_cfg:
+    {_ENTITY}
+    name: robot
+    joint_names: {names(robot.legs, 6, 17)}
+{clip}"""
     if robot.wheels:
-        files[f"action/{name}_wheels.yaml"] = _wheel_action(name, robot)
+        files[f"action/{name}_wheels.yaml"] = f"""# Wheels: velocity targets.
+{name}_wheels:
+  _target_: wheelleg_exp.mdp.actions.JointVelocityAction
+  joint_names: {names(robot.wheels, 4, 15)}
+  scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
+"""
     if robot.raised_bodies:
-        files[f"termination/{name}_contact.yaml"] = _contact(name, robot)
+        files[f"termination/{name}_contact.yaml"] = f"""# A link that should not touch the ground touches something.
+{name}_contact:
+  _target_: wheelleg_exp.mdp.terminations.illegal_contact
+  threshold: {_threshold(robot)}    # N, of a weight of {robot.facts.weight:.3g} N
+  sensor_cfg:
+    {_ENTITY}
+    name: contact_forces
+    body_names: {names(robot.raised_bodies, 6, 16)}
+"""
     return files
 
 
@@ -116,6 +145,17 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
+    # The start tilts, if those of the stock task would put a wheel or foot into the ground.
+    anatomy = robot.anatomy
+    # The positions of feet are unknown, so assume half of the robot's size.
+    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
+    if anatomy.forward is not None:
+        along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
+        arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
+    dip = _DIP * anatomy.size
+    most = {axis: math.floor(1e3 * dip / arm) / 1e3 for axis, arm in arms.items() if arm * _TILT > dip}
+    ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
+    tilts = f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel or foot into the ground\n"
     return f"""  events:                  # the stock disturbances, sized for {robot.facts.mass:.3g} kg
     add_base_mass:
       mass_distribution_params: [{low}, {high}]    # kg
@@ -126,25 +166,7 @@ def _events(robot: Survey) -> str:
       asset_cfg: {{body_names: {trunk}}}
     physics_material: {{restitution_range: [0.0, 0.0]}}    # MuJoCo has none
     reset_robot_joints: {{velocity_range: [1.0, 1.0]}}     # a factor on defaults of 0
-{_tilt(robot)}"""
-
-
-def _tilt(robot: Survey) -> str:
-    """Return the start tilts, if those of the stock task would put a wheel or foot into the ground."""
-    anatomy = robot.anatomy
-    # The positions of feet are unknown, so assume half of the robot's size.
-    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
-    if anatomy.forward is not None:
-        along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
-        arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
-    dip = _DIP * anatomy.size
-    most = {axis: math.floor(1e3 * dip / arm) / 1e3 for axis, arm in arms.items() if arm * _TILT > dip}
-    ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
-    return (
-        f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel or foot into the ground\n"
-        if ranges
-        else ""
-    )
+{tilts if ranges else ""}"""
 
 
 def _rewards(robot: Survey) -> str:
@@ -156,7 +178,13 @@ def _rewards(robot: Survey) -> str:
     action_rate: {{weight: {number(-0.4 / max(1, len(robot.legs) + len(robot.wheels)), 2)}}}
 """
     if robot.level:
-        text += _motion(robot)
+        gravity, size, track = robot.facts.gravity, robot.size, robot.facts.track
+        turning = min(_STD, 2 * _tolerance(robot) / track) if track else _STD
+        text += f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}
+    ang_vel_xy: {{weight: {number(-_COST * size / (0.01 * gravity), 2)}}}
+    track_lin_vel_xy: {{weight: 2.0, std: {number(_tolerance(robot), 2)}}}   # m/s
+    track_ang_vel_z: {{weight: 1.0, std: {number(turning, 2)}}}   # rad/s
+"""
     if robot.legs:
         text += f"""    leg_joint_deviation:
       weight: -0.5
@@ -170,26 +198,6 @@ def _rewards(robot: Survey) -> str:
     return text
 
 
-def _motion(robot: Survey) -> str:
-    gravity, size, track = robot.facts.gravity, robot.size, robot.facts.track
-    turning = min(_STD, 2 * _tolerance(robot) / track) if track else _STD
-    return f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}
-    ang_vel_xy: {{weight: {number(-_COST * size / (0.01 * gravity), 2)}}}
-    track_lin_vel_xy: {{weight: 2.0, std: {number(_tolerance(robot), 2)}}}   # m/s
-    track_ang_vel_z: {{weight: 1.0, std: {number(turning, 2)}}}   # rad/s
-"""
-
-
-def _leg_action(name: str, robot: Survey) -> str:
-    return f"""# Legs: position targets around the default pose.
-{name}_legs:
-  _target_: wheelleg_exp.mdp.actions.JointPositionAction
-  joint_names: {names(robot.legs, 4, 15)}
-  scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
-  use_default_offset: true
-"""
-
-
 def _tolerance(robot: Survey) -> float:
     """Return a drift speed that a standing robot should avoid, m/s: that of one unit of wheel action."""
     return min(_STD, _wheel_scale(robot) * robot.radius) if robot.wheels else _STD
@@ -198,10 +206,8 @@ def _tolerance(robot: Survey) -> float:
 def _wheel_scale(robot: Survey) -> float:
     """Return the wheel speed of one unit of action, rad/s, which takes a quarter of the torque at standstill."""
     gains = wheel_gains(robot)
-    return min(
-        min(max(_WHEEL_EFFORT * gains.effort[wheel] / gains.damping[wheel], 0.1 * gains.velocity[wheel]), top)
-        for wheel, top in gains.velocity.items()
-    )
+    wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
+    return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())
 
 
 def _leg_scale(robot: Survey) -> float:
@@ -212,40 +218,6 @@ def _leg_scale(robot: Survey) -> float:
         reach += [robot.positions[name] - low, high - robot.positions[name], gains.effort[name] / gains.stiffness[name]]
     smallest, largest = _LEG_SCALE
     return min(largest, max(smallest, math.floor(100 * min(reach)) / 100 if min(reach) < largest else largest))
-
-
-def _wheel_action(name: str, robot: Survey) -> str:
-    return f"""# Wheels: velocity targets.
-{name}_wheels:
-  _target_: wheelleg_exp.mdp.actions.JointVelocityAction
-  joint_names: {names(robot.wheels, 4, 15)}
-  scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
-"""
-
-
-def _leg_positions(name: str, robot: Survey) -> str:
-    endless = [name for name in robot.legs if robot.dofs[name].range is None]
-    clip = f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
-    return f"""# Leg joints relative to their defaults, rad; a wheel's angle is unbounded and not useful for balance.
-{name}_leg_pos:
-  _target_: wheelleg_exp.mdp.observations.joint_pos_rel
-  asset_cfg:
-    {_ENTITY}
-    name: robot
-    joint_names: {names(robot.legs, 6, 17)}
-{clip}"""
-
-
-def _contact(name: str, robot: Survey) -> str:
-    return f"""# A link that should not touch the ground touches something.
-{name}_contact:
-  _target_: wheelleg_exp.mdp.terminations.illegal_contact
-  threshold: {_threshold(robot)}    # N, of a weight of {robot.facts.weight:.3g} N
-  sensor_cfg:
-    {_ENTITY}
-    name: contact_forces
-    body_names: {names(robot.raised_bodies, 6, 16)}
-"""
 
 
 def _upright(name: str, robot: Survey) -> str:

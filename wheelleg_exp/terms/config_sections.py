@@ -107,16 +107,11 @@ def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[Co
     for absent in keys.values():
         if absent.required and absent.name not in node:
             errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
-    return errors or _broken_rules(path, node, options)
-
-
-def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    if errors:
+        return errors
     given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
     broken = (found for rule in rules_of(options) for found in rule(given))
-    return [
-        ConfigError(found.message, key=".".join(filter(None, (path, found.key))), expected=found.expected)
-        for found in broken
-    ]
+    return [ConfigError(b.message, key=".".join(filter(None, (path, b.key))), expected=b.expected) for b in broken]
 
 
 def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:

@@ -22,19 +22,14 @@ _FINITE = "a finite number"
 
 @dataclass(frozen=True)
 class Misfit:
-    """A mistake in a value of the config.
-
-    Attributes:
-        keys: the path from the value to the mistake; a mistake in a list's element belongs to the list.
-        nearest: the nearest valid word.
-        is_type: whether the value has the wrong type; False if the value is out of range.
-    """
+    """A mistake in a value of the config."""
 
     message: str
     expected: str
+    # the path from the value to the mistake; a mistake in a list's element belongs to the list
     keys: tuple[str, ...] = ()
-    nearest: str | None = None
-    is_type: bool = False
+    nearest: str | None = None  # the nearest valid word
+    is_type: bool = False  # whether the value has the wrong type; False if the value is out of range
 
 
 def fits(value: Any, annotation: Any) -> bool:
@@ -102,7 +97,13 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         if not isinstance(value, (list, tuple)):
             return [_wrong_type(value, annotation)]
         return _of_elements(value, annotation, kind, arguments)
-    return _of_dataclass(value, kind) if dataclasses.is_dataclass(kind) else []
+    # A parameter that is an object needs a ``_target_`` node. The module config_sections checks sections.
+    built = isinstance(value, Mapping) and "_target_" in value
+    if built or not dataclasses.is_dataclass(kind) or isinstance(value, kind):
+        return []
+    if not isinstance(value, Mapping):
+        return [_wrong_type(value, kind)]
+    return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
 
 
 def constraints_of(annotation: Any) -> list[Constraint]:
@@ -141,18 +142,7 @@ def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[
             for m in found
         ]
     broken = next((constraint for constraint in constraints if not constraint.holds(value)), None)
-    if broken is None:
-        return []
-    return [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
-
-
-def _of_dataclass(value: Any, kind: Any) -> list[Misfit]:
-    """Require a ``_target_`` node for a parameter that is an object. Sections are checked in config_sections."""
-    if isinstance(value, kind) or (isinstance(value, Mapping) and "_target_" in value):
-        return []
-    if not isinstance(value, Mapping):
-        return [_wrong_type(value, kind)]
-    return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
+    return [] if broken is None else [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
 
 
 def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:

@@ -50,13 +50,12 @@ def require_allowed(target: str, path: str) -> None:
         # The target with its top package replaced by the nearest allowed one; None if no name is near.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
-        raise NotAllowed(
-            f"target '{target}' is outside the allowed packages",
-            key=f"{path}.{TARGET}",
-            expected=f"a target in {', '.join(packages)}, or in a package that your pyproject.toml declares under "
-            '[project.entry-points."wheelleg_exp.packages"]',
-            nearest=f"{near}.{rest}" if near not in (None, top) else None,
+        declared = (
+            'or in a package that your pyproject.toml declares under [project.entry-points."wheelleg_exp.packages"]'
         )
+        message, key = f"target '{target}' is outside the allowed packages", f"{path}.{TARGET}"
+        nearest = f"{near}.{rest}" if near not in (None, top) else None
+        raise NotAllowed(message, key=key, expected=f"a target in {', '.join(packages)}, {declared}", nearest=nearest)
 
 
 def is_inside(name: str, packages: tuple[str, ...]) -> bool:
@@ -169,11 +168,8 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
         if misspelled is not None:
             expected = "_target_: package.module.name"
             raise UnreadKey(key=f"{path}.{misspelled}", expected=expected, nearest=TARGET)
-        raise NotSelected(
-            "there are settings for this term, but the term is not selected (it has no _target_)",
-            key=path,
-            expected=f"the term in the task's list of {kind}, or no settings for it",
-        )
+        message = "there are settings for this term, but the term is not selected (it has no _target_)"
+        raise NotSelected(message, key=path, expected=f"the term in the task's list of {kind}, or no settings for it")
     reserved = RESERVED[kind]
     fields = {k: v for k, v in node.items() if k in reserved}
     params = {k: v for k, v in node.items() if k not in reserved and k != TARGET}
@@ -230,11 +226,8 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         raise ConfigError(f"Isaac Lab's '{attribute}' is not supported: {why}", key=f"{path}.{TARGET}")
     if not callable(found):
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
-        raise ConfigError(
-            f"'{module_name}' has no callable '{attribute}'",
-            key=f"{path}.{TARGET}",
-            nearest=target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public),
-        )
+        nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
+        raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
     # An allowed module can import any function. Check the module that defines the function, so that a config cannot
     # call a function of the standard library through an allowed module.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)

@@ -20,44 +20,32 @@ from typing import Any
 from wheelleg_exp.constraints import rules_of
 from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError, nearest_name
 from wheelleg_exp.paths import show_file
+from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.config_values import value_errors
 from wheelleg_exp.terms.key_syntax import below
-from wheelleg_exp.terms.term_binding import (
-    EVENT_MODES,
-    FIELD_TYPES,
-    MODE_FIELDS,
-    REQUIRED_FIELDS,
-    RESERVED,
-    TARGET,
-    TermNode,
-    read_from,
-    signature_parameters,
-    target_arguments,
-    walk_targets,
-)
 from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
-def field_errors(section: str, term: TermNode) -> list[ConfigError]:
+def field_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
     """Return the mistakes in those fields of a term node that its manager reads."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
-        for name in REQUIRED_FIELDS.get(section, ())
+        for name in binding.REQUIRED_FIELDS.get(section, ())
         if name not in term.fields
     ]
     for name, value in term.fields.items():
         if not has_target(value):
-            errors += value_errors(f"{term.path}.{name}", value, FIELD_TYPES.get(name, Any))
+            errors += value_errors(f"{term.path}.{name}", value, binding.FIELD_TYPES.get(name, Any))
     return errors + _mode_errors(term)
 
 
-def _mode_errors(term: TermNode) -> list[ConfigError]:
+def _mode_errors(term: binding.TermNode) -> list[ConfigError]:
     mode = term.fields.get("mode")
     if not isinstance(mode, str):
         return []
-    nearest = nearest_name(mode, EVENT_MODES)
+    nearest = nearest_name(mode, binding.EVENT_MODES)
     if nearest is not None and mode != nearest:
-        expected = ", ".join(EVENT_MODES) + ", or a user-defined name that is less similar to these"
+        expected = ", ".join(binding.EVENT_MODES) + ", or a user-defined name that is less similar to these"
         return [ConfigError(f"unknown mode '{mode}'", key=f"{term.path}.mode", expected=expected, nearest=nearest)]
     errors = [
         ConfigError(
@@ -65,7 +53,7 @@ def _mode_errors(term: TermNode) -> list[ConfigError]:
             key=f"{term.path}.{name}",
             expected=f"mode {owner}, or no {name}",
         )
-        for name, owner in MODE_FIELDS.items()
+        for name, owner in binding.MODE_FIELDS.items()
         if name in term.fields and owner != mode
     ]
     if mode == "interval" and term.fields.get("interval_range_s") is None:
@@ -74,7 +62,7 @@ def _mode_errors(term: TermNode) -> list[ConfigError]:
     return errors
 
 
-def parameter_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def parameter_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
     """Return the mistakes in a term's parameters: their names, their values, and the rules between them."""
     return list(_name_errors(section, term, target)) + _value_errors(term, target)
 
@@ -82,23 +70,22 @@ def parameter_errors(section: str, term: TermNode, target: Callable[..., Any]) -
 def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]) -> list[ConfigError]:
     """Return the mistakes in a ``_target_`` node that is not a term: a sensor, an actuator, noise, an entity."""
     try:
-        term = TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), {}, target_arguments(node, path))
+        parameters = binding.target_arguments(node, path)
+        term = binding.TermNode(path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, parameters)
     except ConfigError as error:
         return [error]
     return parameter_errors("commands", term, target)  # command terms have no fields that the manager reads
 
 
-def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
-    accepted = signature_parameters(target)
+def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
+    accepted = binding.signature_parameters(target)
     for name in accepted:
-        if name in RESERVED[section]:
-            yield ConfigError(
-                f"'{term.target}' has a parameter '{name}', but this name is a field of the manager",
-                key=term.path,
-                expected="a target without parameters named " + ", ".join(RESERVED[section]),
-            )
+        if name in binding.RESERVED[section]:
+            message = f"'{term.target}' has a parameter '{name}', but this name is a field of the manager"
+            expected = "a target without parameters named " + ", ".join(binding.RESERVED[section])
+            yield ConfigError(message, key=term.path, expected=expected)
             return
-    known = [*accepted, *RESERVED[section]]
+    known = [*accepted, *binding.RESERVED[section]]
     meant: set[str] = set()  # a parameter with a misspelled key is not also reported as missing
     for name, value in term.params.items():
         if name in accepted:
@@ -113,17 +100,14 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
     given = {*term.params, *meant}
     missing = [n for n, p in accepted.items() if p.default is inspect.Parameter.empty and n not in given]
     if missing:
-        yield ConfigError(
-            f"'{term.target}' needs " + ", ".join(f"'{n}'" for n in missing),
-            key=term.path,
-            expected="a value for each parameter without a default",
-        )
+        message = f"'{term.target}' needs " + ", ".join(f"'{n}'" for n in missing)
+        yield ConfigError(message, key=term.path, expected="a value for each parameter without a default")
 
 
-def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
     hints = type_hints(target)
     errors: list[ConfigError] = []
-    accepted = signature_parameters(target)
+    accepted = binding.signature_parameters(target)
     for name, value in term.params.items():
         is_default = value is None and name in accepted and accepted[name].default is None
         if name in hints and not has_target(value) and not is_default:
@@ -146,7 +130,7 @@ def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     An annotation is left out if it names a class that is imported only under ``TYPE_CHECKING``. Terms written for Isaac
     Lab annotate the environment with such a class.
     """
-    target = read_from(target)
+    target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
     try:
         return typing.get_type_hints(function, include_extras=True)
@@ -163,7 +147,7 @@ def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
 
 def has_target(value: Any) -> bool:
     """Return whether a value contains a ``_target_`` node."""
-    return any(True for _ in walk_targets(value))
+    return any(True for _ in binding.walk_targets(value))
 
 
 @contextmanager

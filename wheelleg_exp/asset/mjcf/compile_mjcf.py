@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.rigid_geometry import rotation_matrix
-from wheelleg_exp.asset.robot_description import Dof, Drive, RobotDescription
+from wheelleg_exp.asset.robot_description import RobotDescription
 from wheelleg_exp.errors import AssetError
 
 RELATIVE = 1e-9
@@ -80,7 +80,19 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
         got = _tensor(found.inertia, found.iquat)
         yield f"inertia of {name}", got / scale, _tensor(inertial.moments, inertial.axes) / scale
     for dof in robot.dofs:
-        yield from _compare_joint(model, dof)
+        joint, joint_name = model.joint(dof.name), dof.name
+        yield f"kind of {joint_name}", joint.type, int(KINDS[dof.kind])
+        if dof.kind != "ball":
+            yield f"axis of {joint_name}", joint.axis, np.asarray(dof.axis) / np.linalg.norm(dof.axis)
+        yield f"anchor of {joint_name}", joint.pos, dof.anchor
+        yield f"limits of {joint_name}", model.jnt_limited[joint.id], dof.range is not None
+        if dof.range is not None:
+            yield f"range of {joint_name}", joint.range, dof.range
+        yield f"armature of {joint_name}", joint.armature[0], dof.armature
+        yield f"friction loss of {joint_name}", joint.frictionloss[0], dof.frictionloss
+        if "springdamper" not in dof.extra:  # MuJoCo computes damping and stiffness from springdamper
+            yield f"damping of {joint_name}", joint.damping[0], dof.damping
+            yield f"stiffness of {joint_name}", joint.stiffness, dof.stiffness
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
     anchors = sum(len(closure.anchors) for closure in robot.closures)
     sites = len(robot.static_sites) + sum(len(body.sites) for body in robot.bodies)
@@ -95,22 +107,6 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
     yield "number of tendons", model.ntendon, len(robot.tendons)
     drives = sum(dof.drive is not None for dof in robot.dofs)
     yield "number of actuators", model.nu, drives + len(robot.actuators)
-
-
-def _compare_joint(model: mujoco.MjModel, dof: Dof) -> Iterator[Comparison]:
-    found, name = model.joint(dof.name), dof.name
-    yield f"kind of {name}", found.type, int(KINDS[dof.kind])
-    if dof.kind != "ball":
-        yield f"axis of {name}", found.axis, np.asarray(dof.axis) / np.linalg.norm(dof.axis)
-    yield f"anchor of {name}", found.pos, dof.anchor
-    yield f"limits of {name}", model.jnt_limited[found.id], dof.range is not None
-    if dof.range is not None:
-        yield f"range of {name}", found.range, dof.range
-    yield f"armature of {name}", found.armature[0], dof.armature
-    yield f"friction loss of {name}", found.frictionloss[0], dof.frictionloss
-    if "springdamper" not in dof.extra:  # MuJoCo computes damping and stiffness from springdamper
-        yield f"damping of {name}", found.damping[0], dof.damping
-        yield f"stiffness of {name}", found.stiffness, dof.stiffness
 
 
 def _turn(rotation: object) -> np.ndarray:
@@ -143,12 +139,11 @@ def with_force_gains(robot: RobotDescription) -> RobotDescription:
     inertia = {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}
     bodies = []
     for body in robot.bodies:
-        dofs = [replace(d, drive=_scaled(d.drive, inertia[d.name])) if d.drive else d for d in body.dofs]
+        dofs = []
+        for dof in body.dofs:
+            drive, load = dof.drive, inertia[dof.name]
+            if drive and drive.acceleration:
+                drive = replace(drive, stiffness=drive.stiffness * load, damping=drive.damping * load)
+            dofs.append(replace(dof, drive=drive))
         bodies.append(replace(body, dofs=tuple(dofs)))
     return replace(robot, bodies=tuple(bodies))
-
-
-def _scaled(drive: Drive, inertia: float) -> Drive:
-    if not drive.acceleration:
-        return drive
-    return replace(drive, stiffness=drive.stiffness * inertia, damping=drive.damping * inertia)

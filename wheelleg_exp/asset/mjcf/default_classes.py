@@ -17,7 +17,7 @@ import numpy as np
 
 from wheelleg_exp.asset.mjcf import mjcf_elements as of
 from wheelleg_exp.asset.mjcf.mjcf_elements import GROUP_COLLIDER, GROUP_VISUAL, Attributes, Element, value_text
-from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import Body, Closure, Coupling, Dof, Geom, Mesh, RobotDescription
 
 WHEEL, LEG = "wheel", "leg"
@@ -76,28 +76,25 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
     frame = inside @ Frame.of(geom.pose)
     axis = np.asarray(dof.axis) / np.linalg.norm(dof.axis)
     along = frame.rotation.T @ axis
-    middle, radius = _section(geom, along, meshes)
+    if geom.kind == "sphere":
+        middle, radius = np.zeros(3), geom.size[0]
+    elif geom.kind in ("cylinder", "capsule"):
+        middle, radius = np.zeros(3), geom.size[0] if abs(along[2]) > 0.99 else 0.0
+    elif geom.kind != "mesh" or geom.mesh is None:
+        middle, radius = np.zeros(3), 0.0
+    else:
+        points = meshes[geom.mesh].vertices
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        across = points - middle - np.outer((points - middle) @ along, along)
+        first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
+        # A circular section has equal extents in all eight directions across the axis.
+        reach = [
+            float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
+            for angle in np.linspace(0, np.pi, 8, endpoint=False)
+        ]
+        radius = max(reach) if min(reach) >= (1 - ROUND) * max(reach) else 0.0
     offset = frame.rotation @ middle + frame.translation - np.asarray(dof.anchor)
     return radius > 0 and float(np.linalg.norm(offset - (offset @ axis) * axis)) <= ROUND * radius
-
-
-def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, float]:
-    if geom.kind == "sphere":
-        return np.zeros(3), geom.size[0]
-    if geom.kind in ("cylinder", "capsule"):
-        return np.zeros(3), geom.size[0] if abs(along[2]) > 0.99 else 0.0
-    if geom.kind != "mesh" or geom.mesh is None:
-        return np.zeros(3), 0.0
-    points = meshes[geom.mesh].vertices
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    across = points - middle - np.outer((points - middle) @ along, along)
-    first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
-    # A circular section has equal extents in all eight directions across the axis.
-    reach = [
-        float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
-        for angle in np.linspace(0, np.pi, 8, endpoint=False)
-    ]
-    return middle, max(reach) if min(reach) >= (1 - ROUND) * max(reach) else 0.0
 
 
 VISUAL, COLLISION = "visual", "collision"
@@ -131,10 +128,12 @@ class Classes:
         self._rest: dict[tuple[str, str], Attributes] = {}
 
     def child(self, name: str) -> None:
+        """Add an empty child class of the robot's class."""
         self._content.setdefault(name, {})
         self._parents[name] = self.root
 
     def add(self, family: Family) -> None:
+        """Move the attributes that elements of a family share into default classes."""
         shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
         if shared:
             self._content[family.parent][family.tag] = shared
@@ -157,6 +156,7 @@ class Classes:
         return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
 
     def rest(self, tag: str, name: str) -> Attributes:
+        """Return the attributes that an MJCF element does not get from its default class."""
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
@@ -164,6 +164,7 @@ class Classes:
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:
+        """Return the ``<default>`` element of the MJCF."""
         out = Element("default")
         made = {self.root: Element("default", {"class": self.root})}
         for name, tags in self._content.items():
@@ -182,21 +183,19 @@ class Classes:
         names = list(names)
         found = {self.roles.get(name, "") for name in names}
         role = found.pop() if len(found) == 1 else ""
-        return role if role == WHEEL else _words_in_common(names) or role
+        if role == WHEEL:
+            return role
+        split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
+        shared = [word for word in split[0] if all(word in words for words in split[1:])]
+        words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
+        return "_".join(word for word in words if word.lower() not in EMPTY_WORDS) or role
 
     def _needed(self, name: str) -> bool:
         return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
 
     def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
-        name = self._free(self.common(names), family)
-        self._content.setdefault(name, {})[family.tag] = shared
-        self._parents[name] = family.parent
-        for member in names:
-            self._of[family.tag, member] = name
-            self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
-
-    def _free(self, stem: str, family: Family) -> str:
-        """Return a default class name that is unused, or used by the same parent class for another tag."""
+        # A default class name that is unused, or used by the same parent class for another tag.
+        stem = self.common(names)
         # MJCF class names are global, so the name of a child class includes the name of its parent class.
         if family.parent == self.root:
             stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
@@ -205,7 +204,11 @@ class Classes:
         name, number = stem, 2
         while name in RESERVED or name == self.root or self._taken(name, family):
             name, number = f"{stem}_{number}", number + 1
-        return name
+        self._content.setdefault(name, {})[family.tag] = shared
+        self._parents[name] = family.parent
+        for member in names:
+            self._of[family.tag, member] = name
+            self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
 
     def _taken(self, name: str, family: Family) -> bool:
         return name in self._content and (family.tag in self._content[name] or self._parents.get(name) != family.parent)
@@ -230,13 +233,6 @@ def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> 
         if key:
             groups.setdefault(key, []).append(name)
     return [names for names in groups.values() if len(names) > 1]
-
-
-def _words_in_common(names: list[str]) -> str:
-    split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
-    shared = [word for word in split[0] if all(word in words for words in split[1:])]
-    words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
-    return "_".join(word for word in words if word.lower() not in EMPTY_WORDS)
 
 
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)

@@ -10,20 +10,11 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Assumption
 from wheelleg_exp.asset.mjcf import mjcf_elements as of
 from wheelleg_exp.asset.mjcf.default_classes import gather
 from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
-from wheelleg_exp.asset.robot_description import (
-    Body,
-    Dof,
-    Geom,
-    Mesh,
-    Numbered,
-    Pose,
-    RobotDescription,
-    Site,
-)
 from wheelleg_exp.errors import AssetError
 
 FEW = 6  # comments of one rule
@@ -68,13 +59,13 @@ class Notes:
 class Names:
     """Unique names of the free joints, loop closures, and anchor sites of an MJCF."""
 
-    def __init__(self, robot: RobotDescription) -> None:
-        joints = Numbered(dof.name for dof in robot.dofs)
-        sites = Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
-        equalities = Numbered(coupling.name for coupling in robot.couplings)
+    def __init__(self, robot: desc.RobotDescription) -> None:
+        joints = desc.Numbered(dof.name for dof in robot.dofs)
+        sites = desc.Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
+        equalities = desc.Numbered(coupling.name for coupling in robot.couplings)
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}
-        self.anchors: dict[str | None, list[tuple[str, Pose]]] = {}
+        self.anchors: dict[str | None, list[tuple[str, desc.Pose]]] = {}
         # An equality that closes a loop connects two sites, because sites state both frames explicitly.
         for closure in robot.closures:
             made = self.equalities.setdefault(closure.name, [])
@@ -88,12 +79,12 @@ class Names:
                 made.append((name, ends[0], ends[1]))
 
 
-def file_name(mesh: Mesh) -> str:
+def file_name(mesh: desc.Mesh) -> str:
     """Return the name of a mesh's OBJ file, with slashes and other special characters replaced by ``_``."""
     return re.sub(r"[^\w.-]", "_", mesh.name) + ".obj"
 
 
-def obj_text(mesh: Mesh) -> str:
+def obj_text(mesh: desc.Mesh) -> str:
     """Return the text of a mesh's OBJ file, with lossless numbers."""
     points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (an f-string takes twice as long)
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
@@ -107,15 +98,21 @@ DEEPEST = 499  # levels of nested elements
 class Writer:
     """The MJCF document of one robot."""
 
-    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Assumption] = ()) -> None:
+    def __init__(self, robot: desc.RobotDescription, mesh_folder: str, notes: Sequence[Assumption] = ()) -> None:
         self.robot, self.mesh_folder = robot, mesh_folder
         self.notes = Notes(notes)
         self.names = Names(robot)
         self.classes = gather(robot)
 
     def text(self) -> str:
+        """Return the text of the MJCF."""
         root = Element("mujoco", {"model": self.robot.name})
-        self._settings(root)
+        files = any(len(mesh.faces) for mesh in self.robot.meshes)
+        folder = self.mesh_folder if files else None
+        root.add("compiler", self.robot.compiler, angle="radian", autolimits=True, meshdir=folder)
+        option = root.add("option", self.robot.option, gravity=self.robot.gravity)
+        if self.robot.flag:
+            option.add("flag", self.robot.flag)
         out = Element("asset")
         for item in self.robot.materials:
             out.add("material", name=item.name, rgba=item.rgba, metallic=item.metallic, roughness=item.roughness)
@@ -123,35 +120,6 @@ class Writer:
             inertia = "convex" if mesh.solid else "shell"
             own: Attributes = {"file": file_name(mesh)} if len(mesh.faces) else {"vertex": mesh.vertices.ravel()}
             out.children.append(Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra}))
-        parts = (self.classes.element(), out, self._world(), self._contacts(), self._equalities())
-        for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
-            if element.children:
-                root.children.append(element)
-        if (depth := root.depth()) > DEEPEST:
-            raise AssetError(
-                f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
-                expected=f"at most {DEEPEST - 3}, MuJoCo's limit",
-            )
-        root.comment = "\n".join(self._head(self.notes.write()))
-        return root.text() + "\n"
-
-    def _head(self, notes: list[str]) -> list[str]:
-        lines = [f"{self.robot.name}: SI units, radians, z up. Converted by 'wheelleg convert'."]
-        if notes:
-            lines += ["Assumed:", *(f"  {note}" for note in notes[:SHOWN_NOTES])]
-        if len(notes) > SHOWN_NOTES:
-            lines.append(f"  and {len(notes) - SHOWN_NOTES} more, in the report")
-        return lines
-
-    def _settings(self, root: Element) -> None:
-        files = any(len(mesh.faces) for mesh in self.robot.meshes)
-        folder = self.mesh_folder if files else None
-        root.add("compiler", self.robot.compiler, angle="radian", autolimits=True, meshdir=folder)
-        option = root.add("option", self.robot.option, gravity=self.robot.gravity)
-        if self.robot.flag:
-            option.add("flag", self.robot.flag)
-
-    def _world(self) -> Element:
         world = Element("worldbody")
         for geom in self.robot.static_geoms:
             self._geom(world, geom, static=True)
@@ -159,9 +127,26 @@ class Writer:
         made: dict[str | None, Element] = {None: world}
         for body in self.robot.bodies:  # ``bodies`` lists parents before children
             made[body.name] = self._body(made[body.parent], body)
-        return world
+        contact = Element("contact")
+        for first, second in self.robot.exclusions:
+            contact.add("exclude", body1=first, body2=second)
+        parts = (self.classes.element(), out, world, contact, self._equalities())
+        for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
+            if element.children:
+                root.children.append(element)
+        if (depth := root.depth()) > DEEPEST:
+            message = f"'{self.robot.name}' has a chain of about {depth - 3} bodies"
+            raise AssetError(message, expected=f"at most {DEEPEST - 3}, MuJoCo's limit")
+        notes = self.notes.write()
+        lines = [f"{self.robot.name}: SI units, radians, z up. Converted by 'wheelleg convert'."]
+        if notes:
+            lines += ["Assumed:", *(f"  {note}" for note in notes[:SHOWN_NOTES])]
+        if len(notes) > SHOWN_NOTES:
+            lines.append(f"  and {len(notes) - SHOWN_NOTES} more, in the report")
+        root.comment = "\n".join(lines)
+        return root.text() + "\n"
 
-    def _body(self, parent: Element, body: Body) -> Element:
+    def _body(self, parent: Element, body: desc.Body) -> Element:
         passes_class = body.parent is None and self.classes.inherited()
         out = parent.add("body", name=body.name, childclass=self.classes.root if passes_class else None)
         out.attributes.update(of.pose(body.pose))
@@ -174,27 +159,24 @@ class Writer:
         if body.floating:
             out.add("freejoint", name=self.names.free_joints[body.name])
         for dof in body.dofs:
-            self._joint(out, dof)
+            element = out.add(
+                "joint",
+                self.classes.rest("joint", dof.name),
+                name=dof.name,
+                class_=self.classes.of("joint", dof.name),
+                type=None if dof.kind == "hinge" else dof.kind,
+                pos=dof.anchor if any(dof.anchor) else None,
+                axis=None if dof.kind == "ball" else dof.axis,
+                range=dof.range,
+                ref=dof.ref or None,
+            )
+            self.notes.place(dof.path, element)
         self._sites(out, body.sites, body.name)
         for geom in body.geoms:
             self._geom(out, geom)
         return out
 
-    def _joint(self, out: Element, dof: Dof) -> None:
-        element = out.add(
-            "joint",
-            self.classes.rest("joint", dof.name),
-            name=dof.name,
-            class_=self.classes.of("joint", dof.name),
-            type=None if dof.kind == "hinge" else dof.kind,
-            pos=dof.anchor if any(dof.anchor) else None,
-            axis=None if dof.kind == "ball" else dof.axis,
-            range=dof.range,
-            ref=dof.ref or None,
-        )
-        self.notes.place(dof.path, element)
-
-    def _sites(self, out: Element, sites: tuple[Site, ...], owner: str | None) -> None:
+    def _sites(self, out: Element, sites: tuple[desc.Site, ...], owner: str | None) -> None:
         for site in sites:
             shared = self.classes.explicit("site", site.name) if owner is None else self.classes.of("site", site.name)
             rest = self.classes.rest("site", site.name)
@@ -203,25 +185,13 @@ class Writer:
         for name, at in self.names.anchors.get(owner, []):
             out.add("site", of.pose(at), name=name)
 
-    def _geom(self, out: Element, geom: Geom, static: bool = False) -> None:
+    def _geom(self, out: Element, geom: desc.Geom, static: bool = False) -> None:
         bare = static and geom.collides
         rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
-        element = out.add(
-            "geom",
-            {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}},
-            name=geom.name,
-            class_=None if bare else self.classes.of("geom", geom.name),
-            type=rest.get("type"),
-            size=geom.size or None,
-            mesh=geom.mesh,
-        )
+        own = {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}}
+        shared, kind = None if bare else self.classes.of("geom", geom.name), rest.get("type")
+        element = out.add("geom", own, name=geom.name, class_=shared, type=kind, size=geom.size or None, mesh=geom.mesh)
         self.notes.place(geom.path, element)
-
-    def _contacts(self) -> Element:
-        out = Element("contact")
-        for first, second in self.robot.exclusions:
-            out.add("exclude", body1=first, body2=second)
-        return out
 
     def _equalities(self) -> Element:
         out = Element("equality")
@@ -233,27 +203,17 @@ class Writer:
                 element = out.add(closure.kind, own, name=name, class_=shared, site1=first, site2=second)
                 self.notes.place(closure.path, element)
         for item in self.robot.couplings:
-            out.add(
-                "joint",
-                self.classes.rest("equality", of.key(item)),
-                name=item.name,
-                class_=self.classes.explicit("equality", of.key(item)),
-                joint1=item.joint,
-                joint2=item.reference,
-                polycoef=item.coefficients,
-            )
+            rest, shared = self.classes.rest("equality", of.key(item)), self.classes.explicit("equality", of.key(item))
+            ends: Attributes = {"joint1": item.joint, "joint2": item.reference, "polycoef": item.coefficients}
+            out.add("joint", rest, name=item.name, class_=shared, **ends)
         return out
 
     def _tendons(self) -> Element:
         out = Element("tendon")
         for tendon in self.robot.tendons:
             shared = self.classes.explicit("tendon", tendon.name)
-            element = out.add(
-                "fixed" if tendon.joints else "spatial",
-                self.classes.rest("tendon", tendon.name),
-                name=tendon.name,
-                class_=shared,
-            )
+            kind, rest = "fixed" if tendon.joints else "spatial", self.classes.rest("tendon", tendon.name)
+            element = out.add(kind, rest, name=tendon.name, class_=shared)
             self.notes.place(tendon.path, element)
             for joint, factor in tendon.joints:
                 element.add("joint", joint=joint, coef=factor)
@@ -288,7 +248,7 @@ class Writer:
 HOME = "home"
 
 
-def keyframes(robot: RobotDescription) -> Element:
+def keyframes(robot: desc.RobotDescription) -> Element:
     """Return the ``<keyframe>`` of a robot; a keyframe ``home`` of the file replaces the generated one."""
     out = Element("keyframe")
     positions, velocities = state(robot)
@@ -297,19 +257,14 @@ def keyframes(robot: RobotDescription) -> Element:
     controls = [float(getattr(drive, targets[drive.kind])) if drive.kind in targets else 0.0 for drive in drives]
     controls += [0.0] * len(robot.actuators)
     if positions and all(item.name != HOME for item in robot.keyframes):
-        out.add(
-            "key",
-            name=HOME,
-            qpos=positions,
-            qvel=velocities if any(velocities) else None,
-            ctrl=controls if any(controls) else None,
-        )
+        moving, driven = velocities if any(velocities) else None, controls if any(controls) else None
+        out.add("key", name=HOME, qpos=positions, qvel=moving, ctrl=driven)
     for item in robot.keyframes:
         out.add("key", item.extra, name=item.name)
     return out
 
 
-def state(robot: RobotDescription) -> tuple[list[float], list[float]]:
+def state(robot: desc.RobotDescription) -> tuple[list[float], list[float]]:
     """Return qpos and qvel: the saved state, with floating bases at their drawn poses."""
     positions: list[float] = []
     velocities: list[float] = []

@@ -44,7 +44,9 @@ class Element:
                 continue
             if item.comment:
                 lines.append(_comment(item.comment, pad))
-            lines.append(f"{pad}<{item.tag}{item._head()}{'>' if item.children else '/>'}")
+            given = {key: value_text(value) for key, value in item.attributes.items() if value is not None}
+            head = "".join(f" {key}={quoteattr(text)}" for key, text in given.items())
+            lines.append(f"{pad}<{item.tag}{head}{'>' if item.children else '/>'}")
             if item.children:
                 stack.append((item.tag, depth))
                 stack.extend((child, depth + 1) for child in reversed(item.children))
@@ -57,9 +59,6 @@ class Element:
             deepest += 1
             level = [child for element in level for child in element.children]
         return deepest
-
-    def _head(self) -> str:
-        return "".join(f" {key}={quoteattr(value_text(v))}" for key, v in self.attributes.items() if v is not None)
 
 
 def _comment(text: str, pad: str) -> str:
@@ -83,9 +82,7 @@ def value_text(value: Value) -> str:
 
 def number(value: float) -> str:
     """Return the shortest text that reads back as the same number."""
-    if math.isfinite(value) and abs(value) < 1e15 and value == int(value):
-        return str(int(value))
-    return repr(value)
+    return str(int(value)) if math.isfinite(value) and abs(value) < 1e15 and value == int(value) else repr(value)
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -94,21 +91,10 @@ GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show groups 0 to 2 by de
 
 Attributes = dict[str, Value]
 PLAIN: Attributes = {  # The MJCF omits attributes that equal these defaults of MuJoCo.
-    "solref": (0.02, 1.0),
-    "solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
-    "solreflimit": (0.02, 1.0),
-    "solimplimit": (0.9, 0.95, 0.001, 0.5, 2.0),
-    "solreffriction": (0.02, 1.0),
-    "solimpfriction": (0.9, 0.95, 0.001, 0.5, 2.0),
-    "condim": 3,
-    "priority": 0,
-    "solmix": 1.0,
-    "margin": 0.0,
-    "gap": 0.0,
-    "stiffness": 0.0,
-    "damping": 0.0,
-    "armature": 0.0,
-    "frictionloss": 0.0,
+    **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (0.02, 1.0)),
+    **dict.fromkeys(("solimp", "solimplimit", "solimpfriction"), (0.9, 0.95, 0.001, 0.5, 2.0)),
+    **dict.fromkeys(("margin", "gap", "stiffness", "damping", "armature", "frictionloss"), 0.0),
+    **{"condim": 3, "priority": 0, "solmix": 1.0},
 }
 
 

@@ -101,9 +101,7 @@ def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float
     mujoco.mj_resetDataKeyframe(alone, data, index)
     mujoco.mj_kinematics(alone, data)
     at_home, floor = _lowest(alone, data), at_zero - CLEARANCE
-    free = [
-        int(a) for a, kind in zip(alone.jnt_qposadr, alone.jnt_type, strict=True) if kind == mujoco.mjtJoint.mjJNT_FREE
-    ]
+    free = alone.jnt_qposadr[alone.jnt_type == mujoco.mjtJoint.mjJNT_FREE].tolist()
     if not free:
         return min(floor, at_home - CLEARANCE), None
     for address in free:

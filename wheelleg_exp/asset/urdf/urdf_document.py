@@ -34,12 +34,15 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> list[Element]:
+        """Return the child elements with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
+        """Return the first child element with a tag; None without such a child."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
+        """Yield the element and all elements below it, depth first."""
         yield self
         for child in self.children:
             yield from child.walk()
@@ -48,64 +51,46 @@ class Element:
 def parse_xml(source: Path, data: bytes) -> Element:
     """Return the root element of an XML file's bytes."""
     start = len(data) - len(data.lstrip(b" \t\r\n"))
-    return _Parser(source, data[:start].count(b"\n")).parse(data[start:])
+    skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
+    elements: list[Element] = []
+    stack: list[tuple[Element, list[str]]] = []  # open elements, each with the parts of its text
 
+    def refuse(message: str, expected: str) -> NoReturn:
+        raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
 
-class _Parser:
-    def __init__(self, source: Path, skipped_lines: int) -> None:
-        self.source, self.skipped = source, skipped_lines
-        self.stack: list[tuple[Element, list[str]]] = []
-        self.count = 0
-        self.root: Element | None = None
-        self.expat = expat.ParserCreate()
-        self.expat.buffer_text = True
-        self.expat.StartElementHandler = self._start
-        self.expat.EndElementHandler = self._end
-        self.expat.CharacterDataHandler = self._text
-        self.expat.StartDoctypeDeclHandler = self._doctype
+    def open_element(tag: str, attributes: dict[str, str]) -> None:
+        elements.append(Element(tag, attributes, parser.CurrentLineNumber + skipped))
+        if stack:
+            stack[-1][0].children.append(elements[-1])
+        stack.append((elements[-1], []))
+        if len(elements) > MOST_ELEMENTS:
+            refuse(f"there are more than {MOST_ELEMENTS:,} elements", "one robot")
+        if len(stack) > DEEPEST:
+            refuse(f"elements are nested more than {DEEPEST} levels deep", "fewer levels")
 
-    def parse(self, data: bytes) -> Element:
-        try:
-            self.expat.Parse(data, True)
-        except expat.ExpatError as error:
-            where = f"{self.source}:{error.lineno + self.skipped}"
-            reason = expat.errors.messages[error.code]
-            raise AssetError(f"'{self.source.name}' is not valid XML: {reason}", where=where) from None
-        except (LookupError, ValueError) as error:  # unknown encoding
-            raise AssetError(f"'{self.source.name}' is not valid XML: {error}", where=str(self.source)) from None
-        assert self.root is not None
-        return self.root
-
-    def _line(self) -> int:
-        return self.expat.CurrentLineNumber + self.skipped
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, attributes, self._line())
-        if self.stack:
-            self.stack[-1][0].children.append(element)
-        else:
-            self.root = element
-        self.stack.append((element, []))
-        self.count += 1
-        if self.count > MOST_ELEMENTS:
-            self._refuse(f"there are more than {MOST_ELEMENTS:,} elements", "one robot")
-        if len(self.stack) > DEEPEST:
-            self._refuse(f"elements are nested more than {DEEPEST} levels deep", "fewer levels")
-
-    def _end(self, _: str) -> None:
-        element, parts = self.stack.pop()
+    def close_element(_: str) -> None:
+        element, parts = stack.pop()
         element.text = "".join(parts)
 
-    def _text(self, text: str) -> None:
-        if self.stack:
-            self.stack[-1][1].append(text)
+    def add_text(text: str) -> None:
+        if stack:
+            stack[-1][1].append(text)
 
-    # XML entities, which need a document type, can grow without limit or read other files.
-    def _doctype(self, *_: object) -> None:
-        self._refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
+    def refuse_doctype(*_: object) -> None:
+        # XML entities, which need a document type, can grow without limit or read other files.
+        refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
 
-    def _refuse(self, message: str, expected: str) -> NoReturn:
-        raise AssetError(message, where=f"{self.source}:{self._line()}", expected=expected)
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = open_element, close_element
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = add_text, refuse_doctype
+    try:
+        parser.Parse(data[start:], True)
+    except expat.ExpatError as error:
+        where, reason = f"{source}:{error.lineno + skipped}", expat.errors.messages[error.code]
+        raise AssetError(f"'{source.name}' is not valid XML: {reason}", where=where) from None
+    except (LookupError, ValueError) as error:  # unknown encoding
+        raise AssetError(f"'{source.name}' is not valid XML: {error}", where=str(source)) from None
+    return elements[0]
 
 
 SHOWN_TEXT = 60  # characters in a message
@@ -131,6 +116,7 @@ class Document:
         return value
 
     def required(self, element: Element, name: str, became: str) -> str:
+        """Return an XML attribute's text like ``text``; a missing or empty attribute raises AssetError."""
         value = self.text(element, name, became)
         if not value:
             self.fail(element, f"<{element.tag}> has no '{name}'", f'{name}="..."')
@@ -172,11 +158,8 @@ def open_document(source: Path) -> Document:
     except OSError as error:
         raise AssetError(f"'{source}' cannot be read: {error.strerror}", expected="a URDF file") from None
     if root.tag != "robot":
-        raise AssetError(
-            f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>",
-            where=f"{source}:{root.line}",
-            expected="<robot>",
-        )
+        message = f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>"
+        raise AssetError(message, where=f"{source}:{root.line}", expected="<robot>")
     # Set the path of each element: by ``name`` if unique among its siblings, else by position.
     root.path = f"/{root.tag}"
     for element in root.walk():
@@ -218,8 +201,7 @@ READ = {  # children, by tag
 
 REASONS = {  # by the element's tag
     "gazebo": "Gazebo settings",
-    "transmission": "hardware names; the task's configuration defines the drives",
-    "ros2_control": "hardware names; the task's configuration defines the drives",
+    **dict.fromkeys(("transmission", "ros2_control"), "hardware names; the task's configuration defines the drives"),
     "sensor": "sensors are not read; the task's configuration defines the observations",
     "safety_controller": "soft limits of a hardware controller",
     "calibration": "calibration of a hardware encoder",
@@ -228,13 +210,11 @@ REASONS = {  # by the element's tag
     "specular": "only colours are read",
     "material": "colliders are drawn in one colour",
     "joint_properties": "an old spelling of <dynamics>, which other readers ignore, too",
-    "option": "MuJoCo settings; the conversion has its own",
-    "size": "MuJoCo settings; the conversion has its own",
+    **dict.fromkeys(("option", "size"), "MuJoCo settings; the conversion has its own"),
 }
 
 ATTRIBUTES = {  # by tag and name
-    ("limit", "lower"): "a joint of this kind has no limits",
-    ("limit", "upper"): "a joint of this kind has no limits",
+    **dict.fromkeys((("limit", "lower"), ("limit", "upper")), "a joint of this kind has no limits"),
     ("limit", "effort"): "a joint of this kind has no effort limit in the model",
     ("limit", "velocity"): "a joint of this kind has no velocity limit in the model",
     ("axis", "xyz"): "a joint of this kind has no axis",

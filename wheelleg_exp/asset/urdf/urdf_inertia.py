@@ -9,20 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelleg_exp.asset.rigid_geometry import (
-    BARE_MASS,
-    BARE_RADIUS,
-    WATER,
-    Array,
-    Part,
-    Solid,
-    balanced,
-    combined_center,
-    combined_tensor,
-    mesh_solid,
-    primitive,
-    principal,
-)
+from wheelleg_exp.asset import rigid_geometry as geometry
 from wheelleg_exp.asset.robot_description import BaseMode, Inertial, Vec3
 from wheelleg_exp.asset.urdf.urdf_document import Document
 from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
@@ -43,12 +30,29 @@ def inertials(
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
     # MuJoCo needs mass and inertia only for one link of each group of welded links.
-    for group in _welded(tree, base):
+    groups: dict[str, list[Link]] = {}
+    tops: dict[str, str] = {}
+    for member in tree.depth_first():
+        joint = member.joint
+        dropped = base == "floating" and joint is not None and joint.parent is tree.world
+        tops[member.name] = tops[joint.parent.name] if joint and joint.welds and not dropped else member.name
+        groups.setdefault(tops[member.name], []).append(member)
+    for group in groups.values():
         top = group[0]
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
-            found.update(_moving(document, unweighed, colliders))
+            # Parts for moving links without mass, which no simulator accepts: by their volume, or PhysX's 1 kg.
+            heavy = {
+                link.name: part for link in unweighed if (part := _by_volume(document, link, colliders[link.name]))
+            }
+            first = unweighed[0]
+            if not heavy:
+                heavy = {first.name: _bare(document, first, geometry.BARE_MASS, np.zeros(3))}
+            mass = sum(part.mass for part in heavy.values())
+            reason = "the link moves, and neither it nor links welded to it have a mass"
+            document.ledger.warn(f"{first.element.path}: {reason}; the model's mass is {mass:.6g} kg, as in PhysX")
+            found.update(heavy)
         for link in group:
             if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
                 document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
@@ -58,64 +62,42 @@ def inertials(
     return {link.name: _inertial(document, link, found[link.name]) for link in links if link is not tree.world}
 
 
-def _enough(part: Part) -> bool:
+def _enough(part: geometry.Part) -> bool:
     return part.mass >= SMALLEST and float(np.linalg.eigvalsh(part.tensor)[-1]) >= SMALLEST
 
 
-def _moving(document: Document, group: list[Link], colliders: dict[str, list[Shape]]) -> dict[str, Part]:
-    """Return parts for moving links without mass, which no simulator accepts: by their volume, or PhysX's 1 kg."""
-    heavy = {link.name: part for link in group if (part := _by_volume(document, link, colliders[link.name]))}
-    top = group[0]
-    if not heavy:
-        heavy = {top.name: _bare(document, top, BARE_MASS, np.zeros(3))}
-    mass = sum(part.mass for part in heavy.values())
-    reason = "the link moves, and neither it nor links welded to it have a mass"
-    document.ledger.warn(f"{top.element.path}: {reason}; the model's mass is {mass:.6g} kg, as in PhysX")
-    return heavy
-
-
-def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
-    groups: dict[str, list[Link]] = {}
-    top: dict[str, str] = {}
-    for link in tree.depth_first():
-        joint = link.joint
-        dropped = base == "floating" and joint is not None and joint.parent is tree.world
-        top[link.name] = top[joint.parent.name] if joint and joint.welds and not dropped else link.name
-        groups.setdefault(top[link.name], []).append(link)
-    return list(groups.values())
-
-
-def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> Part:
+def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> geometry.Part:
     """Return a link's mass, centre, and inertia tensor in the link's frame; 0 kg if it has no mass and no volume."""
     center, tensor = seen.inertia_frame.translation, _tensor(document, link, seen.mass)
     if seen.mass > 0 and tensor is not None:
         turn = seen.inertia_frame.rotation
-        return Part(seen.mass, center, turn @ tensor @ turn.T)
+        return geometry.Part(seen.mass, center, turn @ tensor @ turn.T)
     if seen.mass == 0:
-        return Part(0.0, center, np.zeros((3, 3)))
+        return geometry.Part(0.0, center, np.zeros((3, 3)))
     parts = _weights(colliders)
     document.ledger.find("no_inertia", link.name, link.element.path, mass=seen.mass)
     if not parts:
         return _bare(document, link, seen.mass, center)
     document.ledger.assume(link.element.path, "no inertia: from the colliders, scaled to the mass", "tensor")
-    return Part(seen.mass, center, combined_tensor(parts, seen.mass, center))
+    return geometry.Part(seen.mass, center, geometry.combined_tensor(parts, seen.mass, center))
 
 
-def _weights(colliders: list[Shape]) -> list[Part]:
+def _weights(colliders: list[Shape]) -> list[geometry.Part]:
     solids = [solid for shape in colliders if (solid := _solid(shape)) is not None]
-    return [Part.of(solid, WATER * solid.volume) for solid in solids]
+    return [geometry.Part.of(solid, geometry.WATER * solid.volume) for solid in solids]
 
 
-def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> Part | None:
+def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> geometry.Part | None:
     parts = _weights(colliders)
     if not parts:
         return None
-    mass, middle = sum(part.mass for part in parts), combined_center(parts)
-    document.ledger.assume(link.element.path, f"no mass: the colliders' volume, {WATER:g} kg/m³", f"{mass:.6g} kg")
-    return Part(mass, middle, combined_tensor(parts, mass, middle))
+    mass, middle = sum(part.mass for part in parts), geometry.combined_center(parts)
+    rule = f"no mass: the colliders' volume, {geometry.WATER:g} kg/m³"
+    document.ledger.assume(link.element.path, rule, f"{mass:.6g} kg")
+    return geometry.Part(mass, middle, geometry.combined_tensor(parts, mass, middle))
 
 
-def _tensor(document: Document, link: Link, mass: float) -> Array | None:
+def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | None:
     """Return a link's inertia tensor in the inertial frame; None if missing, zero, or an exporter's rounding error."""
     inertial = link.element.first("inertial")
     element = inertial.first("inertia") if inertial else None
@@ -126,7 +108,7 @@ def _tensor(document: Document, link: Link, mass: float) -> Array | None:
     tensor = np.array([[a, d, e], [d, b, f], [e, f, c]])
     if not any(values):
         return None
-    moments, _ = principal(tensor)
+    moments, _ = geometry.principal(tensor)
     if max(moments) > mass * NOISE**2:
         return tensor
     document.ledger.leave(element.path, "inertia", "zero but for rounding, which means not given", _listed(moments))
@@ -134,31 +116,31 @@ def _tensor(document: Document, link: Link, mass: float) -> Array | None:
     return None
 
 
-def _bare(document: Document, link: Link, mass: float, center: Array) -> Part:
+def _bare(document: Document, link: Link, mass: float, center: geometry.Array) -> geometry.Part:
     rule = "no inertia and no collider: a sphere of 0.1 m, as PhysX"
     document.ledger.assume(link.element.path, rule, f"{mass:g} kg")
-    return Part(mass, center, np.eye(3) * 0.4 * mass * BARE_RADIUS**2)
+    return geometry.Part(mass, center, np.eye(3) * 0.4 * mass * geometry.BARE_RADIUS**2)
 
 
-def _solid(shape: Shape) -> Solid | None:
+def _solid(shape: Shape) -> geometry.Solid | None:
     try:
         if shape.vertices is None:
-            solid = primitive(shape.kind, shape.size)
+            solid = geometry.primitive(shape.kind, shape.size)
         else:
-            solid = mesh_solid(shape.vertices, shape.faces, "convex")
+            solid = geometry.mesh_solid(shape.vertices, shape.faces, "convex")
     except ValueError:
         return None
     return solid.seen_from(shape.frame) if solid.volume > 0 else None
 
 
-def _inertial(document: Document, link: Link, part: Part) -> Inertial:
+def _inertial(document: Document, link: Link, part: geometry.Part) -> Inertial:
     x, y, z = (float(value) + 0.0 for value in part.center)
     if part.mass == 0:
         document.ledger.assume(link.element.path, "no mass: a frame on its parent", "0 kg")
         return Inertial(0.0, (x, y, z), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    moments, axes = principal(part.tensor)
+    moments, axes = geometry.principal(part.tensor)
     path, shown = link.element.path, _listed(moments)
-    able = balanced(moments)
+    able = geometry.balanced(moments)
     if able != moments:
         a, b, c = moments
         document.ledger.find("impossible_inertia", link.name, path, a=a, b=b, c=c, cut_to=max(able))

@@ -11,20 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Report, is_placeholder
 from wheelleg_exp.asset.report_writer import report_of
 from wheelleg_exp.asset.rigid_geometry import Frame
-from wheelleg_exp.asset.robot_description import (
-    RESERVED,
-    BaseMode,
-    Body,
-    Coupling,
-    Dof,
-    Inertial,
-    Pose,
-    RobotDescription,
-    Vec3,
-)
 from wheelleg_exp.asset.urdf.mesh_files import Files
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element, audit, open_document
 from wheelleg_exp.asset.urdf.urdf_inertia import inertials
@@ -40,28 +30,29 @@ PLANAR = ("_transX", "_transY", "_rotZ")  # names of slides and hinge
 Range = tuple[float, float]
 
 
-def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[Dof, ...]:
+def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[desc.Dof, ...]:
     """Return the degrees of freedom of a joint; an empty tuple for a fixed or floating joint."""
     axes = seen.axes if joint.kind != "floating" else ()
-    document.ledger.mapped(joint.element.path, "joint", _became(joint, axes))
+    made = f"joint {joint.name} ({', '.join(axis.kind for axis in axes)})" if axes else "a weld to the parent body"
+    document.ledger.mapped(joint.element.path, "joint", "freejoint" if joint.kind == "floating" else made)
     suffixes = PLANAR if joint.kind == "planar" else ("",)
     if not axes:
         return ()
-    limits = _limits(document, joint)
+    element = joint.element.first("limit")
+    if joint.kind in ("planar", "spherical"):
+        limits = _Limits()  # reported by the audit
+    elif element is None:
+        limits = _Limits(_range(document, joint, None))
+    else:
+        limits = _Limits(
+            _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
+        )
     return tuple(_dof(document, joint, axis, suffix, limits) for axis, suffix in zip(axes, suffixes, strict=True))
 
 
-def _became(joint: Joint, axes: tuple[Axis, ...]) -> str:
-    if joint.kind == "floating":
-        return "freejoint"
-    if not axes:
-        return "a weld to the parent body"
-    return f"joint {joint.name} ({', '.join(axis.kind for axis in axes)})"
-
-
-def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> Dof:
+def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> desc.Dof:
     own = not suffix
-    return Dof(
+    return desc.Dof(
         name=joint.name + suffix,
         path=joint.element.path,
         kind=axis.kind,
@@ -75,7 +66,7 @@ def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Lim
     )
 
 
-def _direction(document: Document, joint: Joint, axis: Vec3) -> Vec3:
+def _direction(document: Document, joint: Joint, axis: desc.Vec3) -> desc.Vec3:
     length = float(np.linalg.norm(axis))
     if abs(length - 1.0) < UNIT_LENGTH:
         return axis
@@ -91,17 +82,6 @@ class _Limits:
     range: Range | None = None
     effort: Range | None = None
     velocity: float | None = None
-
-
-def _limits(document: Document, joint: Joint) -> _Limits:
-    element = joint.element.first("limit")
-    if joint.kind in ("planar", "spherical"):
-        return _Limits()  # reported by the audit
-    if element is None:
-        return _Limits(_range(document, joint, None))
-    return _Limits(
-        _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
-    )
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
@@ -141,9 +121,8 @@ def _note_ignored(document: Document, joint: Joint, element: Element | None) -> 
         return
     path = joint.element.path
     document.ledger.find("limits_ignored", joint.name, path, lower=low, upper=high)
-    document.ledger.warn(
-        f"{path}: a continuous joint has no limits; the written limits {low:g} to {high:g} do not count"
-    )
+    text = f"a continuous joint has no limits; the written limits {low:g} to {high:g} do not count"
+    document.ledger.warn(f"{path}: {text}")
 
 
 def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:
@@ -158,11 +137,9 @@ def _effort(document: Document, joint: Joint, element: Element) -> Range | None:
     if value is not None and math.isfinite(value) and is_placeholder(value):
         document.ledger.find("placeholder_effort", joint.name, joint.element.path, value=value)
     limit = effort_limit(None if value is None else abs(value))
-    if limit is None:
-        if value is not None:
-            document.ledger.leave(element.path, "effort", "zero, infinite or huge, which means not given", value)
-        return None
-    return -limit, limit
+    if limit is None and value is not None:
+        document.ledger.leave(element.path, "effort", "zero, infinite or huge, which means not given", value)
+    return None if limit is None else (-limit, limit)
 
 
 def _velocity(document: Document, joint: Joint, element: Element) -> float | None:
@@ -181,7 +158,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
     return limit
 
 
-def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Coupling, ...]:
+def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
     """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
 
     ``dofs`` maps the name of each joint with one hinge or slide to its degree of freedom.
@@ -189,13 +166,14 @@ def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Cou
     found = []
     for joint in tree.joints.values():
         element = joint.element.first("mimic")
-        if element is not None:
-            coupling = _coupling(document, joint, element, tree, dofs)
-            found += [coupling] if coupling else []
+        coupling = _coupling(document, joint, element, tree, dofs) if element else None
+        found += [coupling] if coupling else []
     return tuple(found)
 
 
-def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, dofs: dict[str, Dof]) -> Coupling | None:
+def _coupling(
+    document: Document, joint: Joint, element: Element, tree: Tree, dofs: dict[str, desc.Dof]
+) -> desc.Coupling | None:
     leader = document.required(element, "joint", "equality joint")
     multiplier = document.number(element, "multiplier", "equality joint polycoef")
     offset = document.number(element, "offset", "equality joint polycoef")
@@ -207,14 +185,8 @@ def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, do
         document.ledger.leave(element.path, "joint", reason, leader)
         document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
         return None
-    ratio = 1.0 if multiplier is None else multiplier
-    return Coupling(
-        f"{joint.name}_coupling",
-        element.path,
-        dofs[joint.name].name,
-        dofs[leader].name,
-        (offset or 0.0, ratio, 0.0, 0.0, 0.0),
-    )
+    numbers = (offset or 0.0, 1.0 if multiplier is None else multiplier, 0.0, 0.0, 0.0)
+    return desc.Coupling(f"{joint.name}_coupling", element.path, dofs[joint.name].name, dofs[leader].name, numbers)
 
 
 SUFFIXES = (".urdf",)
@@ -222,11 +194,21 @@ EARTH = 9.81
 SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF always uses SI units
 
 
-def read_urdf(source: Path, base: BaseMode) -> tuple[RobotDescription, Report]:
+def read_urdf(source: Path, base: desc.BaseMode) -> tuple[desc.RobotDescription, Report]:
     """Read a URDF file into a robot description and a conversion report."""
     document = open_document(source)
     robot, files = _Builder(document, base).build()
-    return robot, summarise(document, robot, files)
+    report = report_of(
+        robot,
+        document.ledger,
+        source=document.source.name,
+        root=document.root.path,
+        stage=dict(SI),
+        variants={},
+        unresolved=tuple(files.missing),
+        layers=dict(sorted(files.hashes.items())),
+    )
+    return robot, report
 
 
 def source_files(source: Path) -> dict[str, str]:
@@ -242,7 +224,7 @@ def source_files(source: Path) -> dict[str, str]:
 class _Builder:
     """Builder of the robot description; each link except the world link becomes a body."""
 
-    def __init__(self, document: Document, base: BaseMode) -> None:
+    def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base
         self.tree: Tree = read_tree(document)
         self.seen: dict[str, Seen] = read_links(document, self.tree)
@@ -250,7 +232,7 @@ class _Builder:
         self.shapes = Shapes(document, self.tree, self.seen, self.files)
         tree = self.tree
         names = {name: name for name in tree.links}
-        for name in RESERVED & set(names):
+        for name in desc.RESERVED & set(names):
             if tree.world is not None and tree.world.name == name:
                 continue
             free = f"{name}_link"
@@ -262,7 +244,7 @@ class _Builder:
         joints = self.tree.joints.values()
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
-    def build(self) -> tuple[RobotDescription, Files]:
+    def build(self) -> tuple[desc.RobotDescription, Files]:
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids, self.base)
         # The world link is MuJoCo's world body; its shapes become static geoms.
@@ -271,10 +253,10 @@ class _Builder:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
         # The bodies with each tree in one piece: a link on a floating joint starts its own tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
-        children: dict[str | None, list[Body]] = {}
+        children: dict[str | None, list[desc.Body]] = {}
         for body in bodies:
             children.setdefault(body.parent, []).append(body)
-        out: list[Body] = []
+        out: list[desc.Body] = []
         stack = list(reversed(children.get(None, [])))
         while stack:
             body = stack.pop()
@@ -282,12 +264,13 @@ class _Builder:
             stack.extend(reversed(children.get(body.name, [])))
         single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
         joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
-        robot = RobotDescription(
+        joined = [j for j in tree.joints.values() if j.parent is not tree.world and j.kind != "floating"]
+        robot = desc.RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
             bodies=tuple(out),
             gravity=(0.0, 0.0, -EARTH),
             static_geoms=self.shapes.geoms[tree.world.name] if tree.world else (),
-            exclusions=self._exclusions(),
+            exclusions=tuple((self.names[j.parent.name], self.names[j.child.name]) for j in joined),
             couplings=couplings(document, tree, single),
             materials=tuple(self.shapes.looks.used.values()),
             meshes=tuple(self.shapes.meshes.values()),
@@ -310,12 +293,12 @@ class _Builder:
         return {"colliders": sum(of_file), "visuals": len(of_file) - sum(of_file)}
 
     # ------------------------------------------------------------ bodies
-    def _body(self, link: Link, inertial: Inertial) -> Body:
+    def _body(self, link: Link, inertial: desc.Inertial) -> desc.Body:
         joint, path = link.joint, link.element.path
         self.document.ledger.mapped(path, "link", f"body {self.names[link.name]}")
         floating = self._floats(link)
         inside = joint is not None and joint.parent is not self.tree.world and not floating
-        return Body(
+        return desc.Body(
             name=self.names[link.name],
             path=path,
             parent=self.names[joint.parent.name] if joint and inside else None,
@@ -345,7 +328,7 @@ class _Builder:
             return False
         return joint.kind == "floating"
 
-    def _world_pose(self, link: Link) -> Pose:
+    def _world_pose(self, link: Link) -> desc.Pose:
         chain = [link]
         while chain[-1].joint is not None:
             chain.append(chain[-1].joint.parent)
@@ -355,25 +338,3 @@ class _Builder:
         for item in reversed(chain):
             frame = frame @ Frame.of(self.seen[item.name].pose)
         return frame.pose()
-
-    # ------------------------------------------------------------ joints
-    def _exclusions(self) -> tuple[tuple[str, str], ...]:
-        pairs = []
-        for joint in self.tree.joints.values():
-            if joint.parent is not self.tree.world and joint.kind != "floating":
-                pairs.append((self.names[joint.parent.name], self.names[joint.child.name]))
-        return tuple(pairs)
-
-
-def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:
-    """Return the conversion report of a robot that was read from a URDF file."""
-    return report_of(
-        robot,
-        document.ledger,
-        source=document.source.name,
-        root=document.root.path,
-        stage=dict(SI),
-        variants={},
-        unresolved=tuple(files.missing),
-        layers=dict(sorted(files.hashes.items())),
-    )

@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from wheelleg_exp.asset.file_limits import MOST_POINTS, MOST_SHAPES, require_near, require_size
-from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import Geom, Material, Mesh, Numbered, Rgba, ShapeKind
 from wheelleg_exp.asset.urdf.mesh_files import Files, Triangles, read_mesh, reader_of
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element
@@ -26,17 +26,14 @@ class Looks:
         self._colors: dict[str, Rgba] = {}
         for element in document.root.walk():
             if element.tag == "material":
-                self._register(element)
+                name, color = element.attributes.get("name"), self._color(element)
+                if name and color is not None:
+                    self._colors.setdefault(name, color)
+                if element.first("color") is not None:
+                    self.document.ledger.mapped(element.path, "name", "material")
         self.used: dict[tuple[str, Rgba], Material] = {}
         self._count: Counter[str] = Counter()
         self._taken: set[str] = set()
-
-    def _register(self, element: Element) -> None:
-        name, color = element.attributes.get("name"), self._color(element)
-        if name and color is not None:
-            self._colors.setdefault(name, color)
-        if element.first("color") is not None:
-            self.document.ledger.mapped(element.path, "name", "material")
 
     def _color(self, element: Element) -> Rgba | None:
         color = element.first("color")
@@ -51,6 +48,7 @@ class Looks:
         return r, g, b, a
 
     def of(self, shape: Element) -> tuple[str | None, Rgba | None]:
+        """Return the name of a shape's material, or else its colour."""
         element = shape.first("material")
         if element is None:
             return None, None
@@ -101,7 +99,11 @@ class Shapes:
         return made
 
     def _geom(self, owner: str, placed: Placed, shape: Shape) -> Geom:
-        name = self._name(owner, placed)
+        own = self.document.text(placed.element, "name", "geom name") or ""
+        short = own if own == owner or own.startswith(f"{owner}_") else "_".join(filter(None, (owner, own)))
+        if placed.collides and not own:
+            short += "_collision"
+        name = self._taken.take(short if placed.collides else f"{short}_visual")
         what = "collider" if placed.collides else "visual"
         self.document.ledger.mapped(placed.element.path, placed.element.tag, f"{what} geom {name} ({shape.kind})")
         material, rgba = (None, None) if placed.collides else self.looks.of(placed.element)
@@ -118,13 +120,6 @@ class Shapes:
             rgba=rgba,
         )
 
-    def _name(self, owner: str, placed: Placed) -> str:
-        own = self.document.text(placed.element, "name", "geom name") or ""
-        short = own if own == owner or own.startswith(f"{owner}_") else "_".join(filter(None, (owner, own)))
-        if placed.collides and not own:
-            short += "_collision"
-        return self._taken.take(short if placed.collides else f"{short}_visual")
-
     # ------------------------------------------------------------ shapes
     def _shape(self, placed: Placed) -> Shape | None:
         frame = Frame.of(placed.pose)
@@ -136,52 +131,42 @@ class Shapes:
         geometry = placed.element.first("geometry")
         mesh = geometry.first("mesh") if geometry else None
         if mesh is not None:
-            return self._mesh_shape(placed, mesh, frame)
+            name = self.document.text(mesh, "filename", "mesh file") or ""
+            scale = self.document.numbers(mesh, "scale", 3, "the mesh's points") or (1.0, 1.0, 1.0)
+            if name not in self._loaded:
+                try:
+                    if not name:
+                        raise ValueError("no file is named")
+                    reader_of(name)
+                    path = self.files.find(name)
+                    self._loaded[name] = "the file is missing" if path is None else read_mesh(path)
+                except ValueError as error:
+                    self._loaded[name] = str(error)
+            if isinstance(found := self._loaded[name], str):
+                self.document.ledger.leave(mesh.path, "filename", found, name)
+                self._left(placed, f"mesh '{name}': {found}")
+                return None
+            with np.errstate(over="ignore"):
+                vertices, faces = found[0] * scale, found[1]
+            require_near(vertices, key=mesh.path, where=self._where)
+            if np.prod(scale) < 0:
+                faces = faces[:, ::-1]
+            a, b, c = (vertices[faces[:, i]] for i in range(3))
+            if (float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2) < SMALLEST_AREA:
+                self._left(placed, f"mesh '{name}': it has no surface")
+                return None
+            if len(vertices) == 3:  # MuJoCo needs four points
+                vertices = np.vstack([vertices, vertices.mean(axis=0)])
+            shape = Shape("mesh", (), frame, vertices, faces)
+            self._points += shape.points
+            require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
+            flat = flat_to_box(shape) if placed.collides else shape  # MuJoCo uses the hull of a collider's mesh.
+            if flat is not shape:
+                self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
+            return flat
         kinds = [child.tag for child in geometry.children] if geometry else []
         self._left(placed, f"a shape of kind '{kinds[0]}' is not supported" if kinds else "it has no shape")
         return None
-
-    def _mesh_shape(self, placed: Placed, mesh: Element, frame: Frame) -> Shape | None:
-        name = self.document.text(mesh, "filename", "mesh file") or ""
-        scale = self.document.numbers(mesh, "scale", 3, "the mesh's points") or (1.0, 1.0, 1.0)
-        if name not in self._loaded:
-            try:
-                self._loaded[name] = self._read(name)
-            except ValueError as error:
-                self._loaded[name] = str(error)
-        found = self._loaded[name]
-        if isinstance(found, str):
-            self.document.ledger.leave(mesh.path, "filename", found, name)
-            self._left(placed, f"mesh '{name}': {found}")
-            return None
-        with np.errstate(over="ignore"):
-            vertices, faces = found[0] * scale, found[1]
-        require_near(vertices, key=mesh.path, where=self._where)
-        if np.prod(scale) < 0:
-            faces = faces[:, ::-1]
-        if _area(vertices, faces) < SMALLEST_AREA:
-            self._left(placed, f"mesh '{name}': it has no surface")
-            return None
-        if len(vertices) == 3:  # MuJoCo needs four points
-            vertices = np.vstack([vertices, vertices.mean(axis=0)])
-        shape = Shape("mesh", (), frame, vertices, faces)
-        self._points += shape.points
-        require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
-        return self._solid(placed, shape) if placed.collides else shape
-
-    def _solid(self, placed: Placed, shape: Shape) -> Shape:
-        """Return the collision shape of a mesh: its hull, as in all of MuJoCo, or a thin box if it is flat."""
-        flat = flat_to_box(shape)
-        if flat is not shape:
-            self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
-        return flat
-
-    def _read(self, name: str) -> Triangles | str:
-        if not name:
-            return "no file is named"
-        reader_of(name)
-        path = self.files.find(name)
-        return "the file is missing" if path is None else read_mesh(path)
 
     def _left(self, placed: Placed, reason: str) -> None:
         element, ledger = placed.element, self.document.ledger
@@ -205,8 +190,3 @@ class Shapes:
         file = PurePosixPath(mesh.attributes["filename"].replace("\\", "/"))
         name = file.stem.encode()[:LONGEST_NAME].decode(errors="ignore") + ("" if placed.collides else "_visual")
         return name + self._mesh_names.take(name.lower())[len(name) :]
-
-
-def _area(vertices: Array, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2

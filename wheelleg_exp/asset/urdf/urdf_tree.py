@@ -41,6 +41,7 @@ class Joint:
 
     @property
     def welds(self) -> bool:
+        """Whether the joint is fixed."""
         return self.kind == "fixed"
 
 
@@ -66,6 +67,7 @@ class Tree:
             stack.extend(joint.child for joint in reversed(link.joints))
 
     def breadth_first(self) -> Iterator[Link]:
+        """Yield all links of the tree in breadth-first order."""
         level = [self.root]
         while level:
             yield from level
@@ -86,7 +88,19 @@ def read_tree(document: Document) -> Tree:
         document.fail(document.root, f"'{document.source.name}' has no link", "<link> elements below <robot>")
     joints: dict[str, Joint] = {}
     for element in document.root.all("joint"):
-        joint = _joint(document, element, links)
+        name = document.required(element, "name", "joint name")
+        kind = document.required(element, "type", "joint type")
+        if kind not in KINDS:
+            nearest = nearest_name(kind, KINDS)
+            hint = f"one of {', '.join(KINDS)}" + (f"; did you mean '{nearest}'?" if nearest else "")
+            document.fail(element, f"there is no joint type '{kind}'", hint)
+        parent, child = (_end(document, element, side, links) for side in ("parent", "child"))
+        joint = Joint(element, name, kind, parent, child)
+        if child.joint is not None:
+            message = f"link '{child.name}' is the child of two joints, '{child.joint.name}' and '{name}'"
+            document.fail(element, message, "one parent joint for each link: URDF has no loops")
+        child.joint = joint
+        parent.joints.append(joint)
         if joint.name in joints:
             document.fail(element, f"there are two joints '{joint.name}'", "unique joint names")
         joints[joint.name] = joint
@@ -105,23 +119,6 @@ def read_tree(document: Document) -> Tree:
             message = f"link '{link.name}' is not reached from the root '{tree.root.name}': its joints form a cycle"
             document.fail(link.element, message, "a tree of links")
     return tree
-
-
-def _joint(document: Document, element: Element, links: dict[str, Link]) -> Joint:
-    name = document.required(element, "name", "joint name")
-    kind = document.required(element, "type", "joint type")
-    if kind not in KINDS:
-        nearest = nearest_name(kind, KINDS)
-        hint = f"one of {', '.join(KINDS)}" + (f"; did you mean '{nearest}'?" if nearest else "")
-        document.fail(element, f"there is no joint type '{kind}'", hint)
-    parent, child = (_end(document, element, side, links) for side in ("parent", "child"))
-    joint = Joint(element, name, kind, parent, child)
-    if child.joint is not None:
-        message = f"link '{child.name}' is the child of two joints, '{child.joint.name}' and '{name}'"
-        document.fail(element, message, "one parent joint for each link: URDF has no loops")
-    child.joint = joint
-    parent.joints.append(joint)
-    return joint
 
 
 def _end(document: Document, element: Element, side: str, links: dict[str, Link]) -> Link:

@@ -114,11 +114,6 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 )
 
 
-def why_property(name: str) -> str:
-    """Return the reason why the MJCF omits a USD property."""
-    return next((text for pattern, text in _PROPERTIES if re.match(pattern, name)), "not known here")
-
-
 @functools.cache
 def why_schema(name: str) -> Reason | None:
     """Return why the MJCF omits an applied schema; None for a schema without physics or with recorded attributes."""
@@ -139,16 +134,26 @@ LONGEST = 200  # characters of a value
 
 def audit(stage: Stage) -> None:
     """Record every authored physics property, applied schema, and prim that the converter has not read."""
-    for prim in _everything(stage):
+    for prim in {p.GetPath(): p for p in (*stage.prims, *stage.physics_scenes, *_materials(stage))}.values():
         kind = str(prim.GetTypeName())
         reason = why_kind(kind)
         if reason and not stage.ledger.knows(path := prim.GetPath(), kind):
             stage.ledger.leave(path, kind, reason.text)
             if reason.loud:
                 stage.ledger.warn(f"{path}: a {kind} was left out: {reason.text}")
-        _schemas(stage, prim)
+        for name in schemas(prim):
+            reason = why_schema(name)
+            if reason and not stage.ledger.knows(path := prim.GetPath(), name):
+                stage.ledger.leave(path, name, reason.text)
+                if reason.loud:
+                    stage.ledger.warn(f"{path}: {name} was left out: {reason.text}")
         if prim.GetTypeName() == "Shader":
-            _files(stage, prim)
+            for attribute in prim.GetAuthoredPropertyNames():
+                value = prim.GetAttribute(attribute).Get() if attribute.startswith(("inputs:", "info:mdl")) else None
+                if isinstance(value, Sdf.AssetPath) and value.path:
+                    dropped = "colours are carried over, textures and material libraries are not"
+                    missing = "" if value.resolvedPath else "; this file is missing"
+                    stage.ledger.leave(prim.GetPath(), attribute, dropped + missing, value.path)
         group = prim.IsA(UsdPhysics.CollisionGroup)
         for name in prim.GetAuthoredPropertyNames():
             physical = PHYSICAL_PROPERTIES.match(name) or (group and name.startswith("collection:"))
@@ -156,11 +161,6 @@ def audit(stage: Stage) -> None:
                 prop = prim.GetProperty(name)
                 stage.ledger.leave(prim.GetPath(), name, _why(stage, prim, prop), _text(prop))
     _outside(stage)
-
-
-def _everything(stage: Stage) -> Iterator[Usd.Prim]:
-    prims = [*stage.prims, *stage.physics_scenes, *_materials(stage)]
-    yield from {prim.GetPath(): prim for prim in prims}.values()
 
 
 def _materials(stage: Stage) -> Iterator[Usd.Prim]:
@@ -174,24 +174,6 @@ def _materials(stage: Stage) -> Iterator[Usd.Prim]:
                         yield from Usd.PrimRange(material)
 
 
-def _schemas(stage: Stage, prim: Usd.Prim) -> None:
-    for name in schemas(prim):
-        reason = why_schema(name)
-        if reason and not stage.ledger.knows(path := prim.GetPath(), name):
-            stage.ledger.leave(path, name, reason.text)
-            if reason.loud:
-                stage.ledger.warn(f"{path}: {name} was left out: {reason.text}")
-
-
-def _files(stage: Stage, shader: Usd.Prim) -> None:
-    for name in shader.GetAuthoredPropertyNames():
-        value = shader.GetAttribute(name).Get() if name.startswith(("inputs:", "info:mdl")) else None
-        if isinstance(value, Sdf.AssetPath) and value.path:
-            reason = "colours are carried over, textures and material libraries are not"
-            missing = "" if value.resolvedPath else "; this file is missing"
-            stage.ledger.leave(shader.GetPath(), name, reason + missing, value.path)
-
-
 _MASS = ("physics:mass", "physics:density", "physics:centerOfMass", "physics:diagonalInertia", "physics:principalAxes")
 
 
@@ -201,7 +183,15 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
     if isinstance(prop, Usd.Attribute) and not prop.HasAuthoredValue():
         return "declared without a value"
     if name in _MASS:
-        return _why_mass(prim, name)
+        applied = schemas(prim)
+        if "PhysicsRigidBodyAPI" in applied:
+            weighed = name == "physics:density"
+            return "not needed: the mass is given" if weighed else "it means not given: 0 or not finite"
+        if "PhysicsCollisionAPI" in applied:
+            return "it means not given, or the body has its own mass properties"
+        if "PhysicsMaterialAPI" in applied:
+            return "not needed: the bound shapes have a mass, or nothing is bound to this material"
+        return "mass properties count only on bodies, colliders, and materials"
     # The reason for omitting a whole joint comes first: it is more useful than a property's reason.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
@@ -214,18 +204,7 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         return "the joint leaves no such axis free" if joint else "only joints have drives, limits, and states"
     if joint and name.startswith(("physics:lower", "physics:upper", "physics:cone", "physics:axis")):
         return "this joint has no such limit or axis"
-    return why_property(name)
-
-
-def _why_mass(prim: Usd.Prim, name: str) -> str:
-    applied = schemas(prim)
-    if "PhysicsRigidBodyAPI" in applied:
-        return "not needed: the mass is given" if name == "physics:density" else "it means not given: 0 or not finite"
-    if "PhysicsCollisionAPI" in applied:
-        return "it means not given, or the body has its own mass properties"
-    if "PhysicsMaterialAPI" in applied:
-        return "not needed: the bound shapes have a mass, or nothing is bound to this material"
-    return "mass properties count only on bodies, colliders, and materials"
+    return next((text for pattern, text in _PROPERTIES if re.match(pattern, name)), "not known here")
 
 
 def _text(prop: Usd.Property) -> str:

@@ -36,7 +36,7 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
     The USD library does not know Isaac Sim's sensor types, so a sensor gets the transform of its parent prim.
     """
     found: dict[str, list[Site]] = {}
-    for prim, name in _named(stage):
+    for prim, name in named([prim for prim in stage.prims if is_site(prim)]):
         if (link := links.owner(prim.GetPath())) is not None:
             found.setdefault(link.path, []).append(_site(stage, prim, name, link))
     return found
@@ -44,11 +44,12 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
 
 def world_sites(stage: Stage, links: Links) -> list[Site]:
     """Return the sites of the stage that belong to no body."""
-    return [_site(stage, prim, name, None) for prim, name in _named(stage) if links.owner(prim.GetPath()) is None]
+    sites = named([prim for prim in stage.prims if is_site(prim)])
+    return [_site(stage, prim, name, None) for prim, name in sites if links.owner(prim.GetPath()) is None]
 
 
-def _named(stage: Stage) -> list[tuple[Usd.Prim, str]]:
-    prims = [prim for prim in stage.prims if is_site(prim)]
+def named(prims: list[Usd.Prim]) -> list[tuple[Usd.Prim, str]]:
+    """Return prims with unique names."""
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     return [(prim, names[str(prim.GetPath())]) for prim in prims]
 
@@ -93,6 +94,7 @@ class Piece:
 
     @property
     def path(self) -> str:
+        """The path of the gprim."""
         return str(self.prim.GetPath())
 
 
@@ -126,7 +128,9 @@ def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
 def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | None) -> Piece | None:
     solid = carrier is not None and stage.ledger.read(carrier, "physics:collisionEnabled", "the choice of colliders")
     collides = carrier is not None and solid is not False
-    drawn = _drawn(prim)
+    imageable = UsdGeom.Imageable(prim)
+    drawn = imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+    drawn = drawn and bool(imageable.ComputeVisibility() != UsdGeom.Tokens.invisible)
     if carrier is None and not drawn:
         stage.ledger.leave(prim.GetPath(), str(prim.GetTypeName()), "neither drawn nor solid")
         return None
@@ -157,13 +161,6 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
     if not collides and carrier is not None:
         stage.ledger.assume(prim.GetPath(), "collisionEnabled is 0: no contact, but it counts for the mass", "visual")
     return Piece(prim, link, shape, carrier, collides, drawn)
-
-
-def _drawn(prim: Usd.Prim) -> bool:
-    imageable = UsdGeom.Imageable(prim)
-    if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
-        return False
-    return bool(imageable.ComputeVisibility() != UsdGeom.Tokens.invisible)
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:

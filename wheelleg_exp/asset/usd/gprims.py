@@ -38,6 +38,7 @@ class Shape:
 
     @property
     def points(self) -> int:
+        """The number of the mesh's points and triangles."""
         return sum(len(array) for array in (self.vertices, self.faces) if array is not None)
 
 
@@ -63,9 +64,7 @@ class _Placing:
     def scale(self) -> Array | None:
         """Scale factors along the shape's own axes; None if the transform shears the shape."""
         off = self.stretch - np.diag(np.diag(self.stretch))
-        if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max():
-            return None
-        return np.abs(np.diag(self.stretch))
+        return None if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max() else np.abs(np.diag(self.stretch))
 
     def frame(self, turn: Array | None = None) -> Frame:
         return Frame(self.rotation if turn is None else self.rotation @ turn, self.origin)
@@ -184,7 +183,9 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
     mesh = UsdGeom.Mesh(prim)
     points = _points(mesh)
     counts, indices = (_integers(a.Get()) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
-    if points is None or counts is None or indices is None or not _consistent(len(points), counts, indices):
+    if points is None or counts is None or indices is None or (counts < 0).any() or counts.sum() != len(indices):
+        return None
+    if len(indices) and not (indices.min() >= 0 and indices.max() < len(points)):
         return None
     holes = _integers(mesh.GetHoleIndicesAttr().Get())
     holes = None if holes is None else holes[(holes >= 0) & (holes < len(counts))]
@@ -210,15 +211,7 @@ def _points(mesh: UsdGeom.Mesh) -> Array | None:
 
 def _integers(value: object) -> NDArray[np.int64] | None:
     array = np.asarray([] if value is None else value)
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        return None
-    return array.astype(np.int64)
-
-
-def _consistent(points: int, counts: NDArray[np.int64], indices: NDArray[np.int64]) -> bool:
-    if (counts < 0).any() or counts.sum() != len(indices):
-        return False
-    return not len(indices) or bool(indices.min() >= 0 and indices.max() < points)
+    return None if array.ndim != 1 or (array.size and array.dtype.kind not in "iu") else array.astype(np.int64)
 
 
 def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
@@ -259,10 +252,8 @@ def _hull(points: Array, at: _Placing, note: str) -> Shape:
 _MAKERS: dict[str, Maker] = {
     "Cube": _cube,
     "Sphere": _sphere,
-    "Capsule": partial(_round, "capsule"),
-    "Cylinder": partial(_round, "cylinder"),
-    "Capsule_1": partial(_round, "capsule"),
-    "Cylinder_1": partial(_round, "cylinder"),
+    **dict.fromkeys(("Capsule", "Capsule_1"), partial(_round, "capsule")),
+    **dict.fromkeys(("Cylinder", "Cylinder_1"), partial(_round, "cylinder")),
     "Cone": _cone,
     "Plane": _plane,
     "Mesh": _mesh,

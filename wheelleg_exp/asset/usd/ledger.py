@@ -44,14 +44,12 @@ _KINDS: dict[ValueKind, str] = {  # patterns of full names
     ValueKind("number"): r"""
         physics:(mass|density|dynamicFriction|staticFriction|restitution)
         drive:\w+:physics:(stiffness|damping|targetPosition|targetVelocity) state:\w+:physics:(position|velocity)
-        physxJoint:(armature|jointFriction)
-        physxJointAxis:\w+:(armature|\w+FrictionEffort|viscousFrictionCoefficient)
+        physxJoint:(armature|jointFriction) physxJointAxis:\w+:(armature|\w+FrictionEffort|viscousFrictionCoefficient)
         physxMimicJoint:\w+:(gearing|offset|naturalFrequency|dampingRatio)
         newton:(armature|friction|damping|mimicCoef\d|torsionalFriction|rollingFriction) newton:maxHullVertices
         urdf:dynamics:\w+ mjc:(armature|damping|frictionloss|stiffness|ref|springref|margin|gap|solmix)
-        mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength)
-        mjc:(torsional|rolling)friction mjc:(actDim|maxhullvert|body:gravcomp)
-        mjc:compiler:(boundMass|boundInertia|setTotalMass)
+        mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength) mjc:(torsional|rolling)friction
+        mjc:(actDim|maxhullvert|body:gravcomp) mjc:compiler:(boundMass|boundInertia|setTotalMass)
         mjc:option:(impratio|density|viscosity|o_margin|noslip_\w+|timestep)
     """,
     ValueKind("flag"): r"""
@@ -78,21 +76,15 @@ _KINDS: dict[ValueKind, str] = {  # patterns of full names
     """,
 }
 _EXPECTED = {
-    "number": "a number",
-    "flag": "true or false",
-    "text": "a token",
-    "vector": "{length} numbers",
-    "array": "an array of numbers",
+    **{"number": "a number", "flag": "true or false", "text": "a token"},
+    **{"vector": "{length} numbers", "array": "an array of numbers"},
 }
 
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
     """Return the required kind of a USD attribute by its full name, or None if any value is allowed."""
-    matching = (
-        kind for kind, patterns in _KINDS.items() for pattern in patterns.split() if re.fullmatch(pattern, name)
-    )
-    return next(matching, None)
+    return next((kind for kind, texts in _KINDS.items() if any(re.fullmatch(t, name) for t in texts.split())), None)
 
 
 def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
@@ -102,7 +94,12 @@ def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
         return None
     wrong = _wrong(value, kind)
     if wrong:
-        raise _mistake(attribute, wrong, kind)
+        expected = _EXPECTED[kind.what].format(length=kind.length) if kind else "finite numbers"
+        if wrong.startswith("is infinite") or "NaN" in wrong:
+            expected = "finite numbers" if kind is None or kind.what in ("vector", "array") else "a finite number"
+        stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
+        message, key = f"'{attribute.GetName()}' {wrong}", str(attribute.GetPrim().GetPath())
+        raise AssetError(message, key=key, where=stack[0].layer.GetDisplayName() if stack else None, expected=expected)
     return bool(value) if kind and kind.what == "flag" else value
 
 
@@ -118,11 +115,11 @@ def number_of(prim: Usd.Prim, name: str) -> float:
 def _wrong(value: Any, kind: ValueKind | None) -> str:
     """Return the text of an error message for an invalid USD value, or an empty string for a valid value."""
     if kind is None or kind.what in ("flag", "text"):
-        if _has_nan(value):
+        numbers = np.zeros(0) if isinstance(value, str) else np.asarray(value)
+        if numbers.dtype.kind == "f" and np.isnan(numbers).any():
             return "is not a number (NaN)"
-        fits = kind is None or (
-            isinstance(value, str) if kind.what == "text" else isinstance(value, (int, float)) and value in (0, 1)
-        )
+        flag = isinstance(value, (int, float)) and value in (0, 1)
+        fits = kind is None or (isinstance(value, str) if kind.what == "text" else flag)
         return "" if fits else f"is {_shown(value)}"
     if (kind.what == "number") != (isinstance(value, (int, float)) and not isinstance(value, bool)):
         return f"is {_shown(value)}"
@@ -136,29 +133,9 @@ def _wrong(value: Any, kind: ValueKind | None) -> str:
     return ""
 
 
-def _has_nan(value: Any) -> bool:
-    if isinstance(value, str):
-        return False
-    array = np.asarray(value)
-    return array.dtype.kind == "f" and bool(np.isnan(array).any())
-
-
 def _shown(value: Any) -> str:
     text = f"'{value}'" if isinstance(value, str) else " ".join(str(value).split())
     return text if len(text) <= 40 else text[:40] + "..."
-
-
-def _mistake(attribute: Usd.Attribute, wrong: str, kind: ValueKind | None) -> AssetError:
-    expected = _EXPECTED[kind.what].format(length=kind.length) if kind else "finite numbers"
-    if wrong.startswith("is infinite") or "NaN" in wrong:
-        expected = "finite numbers" if kind is None or kind.what in ("vector", "array") else "a finite number"
-    stack = attribute.GetPropertyStack(Usd.TimeCode.Default())
-    return AssetError(
-        f"'{attribute.GetName()}' {wrong}",
-        key=str(attribute.GetPrim().GetPath()),
-        where=stack[0].layer.GetDisplayName() if stack else None,
-        expected=expected,
-    )
 
 
 def plain(value: Any) -> Any:
@@ -166,9 +143,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
         return value
     if isinstance(value, float):
-        return (
-            single(value) if math.isfinite(value) and abs(value) < 3e38 and float(np.float32(value)) == value else value
-        )
+        is_single = math.isfinite(value) and abs(value) < 3e38 and float(np.float32(value)) == value
+        return single(value) if is_single else value
     if isinstance(value, (Gf.Quatf, Gf.Quatd, Gf.Quath)):
         return tuple(plain(float(v)) for v in (value.GetReal(), *value.GetImaginary()))
     if isinstance(value, (Gf.Matrix2d, Gf.Matrix3d, Gf.Matrix4d)):
@@ -213,6 +189,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
+        """Return the targets of a relationship, and record the MJCF part that it becomes."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -221,6 +198,7 @@ class Ledger:
         return list(relationship.GetForwardedTargets())
 
     def mapped(self, path: object, name: str, became: str) -> None:
+        """Record the MJCF part that a part of the robot file becomes."""
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
@@ -233,19 +211,21 @@ class Ledger:
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
+        """Record a warning, once for each text."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
         """Record a finding once for each kind, subject, and path; ``conversion_report`` lists the kinds and numbers."""
-        self._found[kind, subject, str(path)] = Finding(
-            kind, subject, str(path), {name: float(value) for name, value in numbers.items()}
-        )
+        plain_numbers = {name: float(value) for name, value in numbers.items()}
+        self._found[kind, subject, str(path)] = Finding(kind, subject, str(path), plain_numbers)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
+        """The recorded findings."""
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
+        """Return whether an assumption of a rule is recorded for a path."""
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
@@ -254,6 +234,7 @@ class Ledger:
         return key in self._mapped or key in self._left_names
 
     def left_out(self, path: object, name: str) -> bool:
+        """Return whether a part of the robot file is recorded as left out."""
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:

@@ -23,6 +23,7 @@ class Looks:
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
+        """Return the materials in use, with unique names, by path."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
@@ -43,12 +44,10 @@ class Looks:
             if color is None or len(color) != 3:
                 continue
             opacity = _input(shader, ("opacity", "opacity_constant"))
-            self.found[path] = Material(
-                path,
-                (color[0], color[1], color[2], 1.0 if opacity is None else opacity),
-                _input(shader, ("metallic", "metallic_constant")),
-                _input(shader, ("roughness", "reflection_roughness_constant")),
-            )
+            rgba = (color[0], color[1], color[2], 1.0 if opacity is None else opacity)
+            metallic = _input(shader, ("metallic", "metallic_constant"))
+            roughness = _input(shader, ("roughness", "reflection_roughness_constant"))
+            self.found[path] = Material(path, rgba, metallic, roughness)
             return True
         return False
 
@@ -100,9 +99,14 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     The function returns None, which means MuJoCo's default, for files with MuJoCo's own USD schemas.
     """
     # As in PhysX, the shape's own material overrides the scene's default material, which overrides a constant.
-    material = physics_material(stage, prim) or _scene_material(stage)
+    defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
+    material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:
-        return _unbound(stage)
+        if any(name.startswith("Mjc") for scene in stage.physics_scenes for name in schemas(scene)):
+            return None
+        rule = "colliders without a physics material: PhysX's default friction"
+        stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
+        return PHYSX_FRICTION
     ledger = stage.ledger
     dynamic = ledger.read(material, "physics:dynamicFriction", "geom friction[0]")
     for name, reason in _NO_PLACE.items():
@@ -117,22 +121,6 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
 
 
 PHYSX_FRICTION = 0.5
-
-
-def _scene_material(stage: Stage) -> Usd.Prim | None:
-    for scene in stage.physics_scenes:
-        material = physics_material(stage, scene)
-        if material is not None:
-            return material
-    return None
-
-
-def _unbound(stage: Stage) -> float | None:
-    if any(name.startswith("Mjc") for scene in stage.physics_scenes for name in schemas(scene)):
-        return None
-    rule = "colliders without a physics material: PhysX's default friction"
-    stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
-    return PHYSX_FRICTION
 
 
 _NO_PLACE = {

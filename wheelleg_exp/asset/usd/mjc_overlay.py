@@ -14,51 +14,28 @@ from typing import TypeVar
 
 from pxr import Usd, UsdShade
 
-from wheelleg_exp.asset.robot_description import (
-    Actuator,
-    Body,
-    Closure,
-    Coupling,
-    Dof,
-    Geom,
-    Inertial,
-    Numbered,
-    RobotDescription,
-    Site,
-    Tendon,
-    Vec3,
-)
+from wheelleg_exp.asset import robot_description as desc
+from wheelleg_exp.asset.usd import mjc_parts as mjc
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links
 from wheelleg_exp.asset.usd.colliders import world_sites
-from wheelleg_exp.asset.usd.mjc_parts import (
-    Attribute,
-    Targets,
-    attributes,
-    indices,
-    leave,
-    read_actuators,
-    read_keyframes,
-    read_tendons,
-    with_wraps,
-)
 from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians, find_scene, schemas
 
 _OF_JOINTS = "springdamper margin solreflimit solimplimit solreffriction solimpfriction actuatorgravcomp group"
 JOINT_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_JOINTS.split()}
 
 
-def with_body_extra(stage: Stage, body: Body) -> Body:
+def with_body_extra(stage: Stage, body: desc.Body) -> desc.Body:
     """Return a body with MuJoCo's own attributes of the body, its joints, and its geoms."""
     prim = stage.usd.GetPrimAtPath(body.path)
-    found = attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
+    found = mjc.attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
     dofs = tuple(_dof(stage, dof) for dof in body.dofs)
     geoms = tuple(with_geom_extra(stage, geom) for geom in body.geoms)
     return replace(body, dofs=dofs, geoms=geoms, extra={**body.extra, **found})
 
 
-def _dof(stage: Stage, dof: Dof) -> Dof:
+def _dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     prim = stage.usd.GetPrimAtPath(dof.path)
-    found = attributes(stage, prim, JOINT_ATTRIBUTES)
+    found = mjc.attributes(stage, prim, JOINT_ATTRIBUTES)
     springref = stage.ledger.read(prim, "mjc:springref", "springref")
     if springref is not None:
         found["springref"] = angle_in_radians(stage, springref) if dof.kind == "hinge" else float(springref)
@@ -76,27 +53,27 @@ DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}
 SOLID = {"MjcCollisionAPI", "NewtonCollisionAPI"}
 
 
-def with_geom_extra(stage: Stage, geom: Geom) -> Geom:
+def with_geom_extra(stage: Stage, geom: desc.Geom) -> desc.Geom:
     """Return a geom with MuJoCo's own attributes: those of its prim, or of an ancestor that has them."""
     prim = stage.usd.GetPrimAtPath(geom.path)
-    found: dict[str, Attribute] = {}
+    found: dict[str, mjc.Attribute] = {}
     drawn = _carrier(prim, DRAWN)
     if drawn:
         found["group"] = int(stage.ledger.read(drawn, "mjc:group", "group") or 0)
     solid = _carrier(prim, SOLID) if geom.collides else None
     if solid:
-        found |= attributes(stage, solid, NEWTON) | attributes(stage, solid, GEOM_ATTRIBUTES)
+        found |= mjc.attributes(stage, solid, NEWTON) | mjc.attributes(stage, solid, GEOM_ATTRIBUTES)
         found |= _friction(stage, prim, geom)
         for name in EXPLICIT:
-            leave(stage, solid, name, "masses and inertias are written explicitly")
+            mjc.leave(stage, solid, name, "masses and inertias are written explicitly")
     return replace(geom, extra={**geom.extra, **found}) if found else geom
 
 
-def hull_size(stage: Stage, geom: Geom) -> dict[str, Attribute]:
+def hull_size(stage: Stage, geom: desc.Geom) -> dict[str, mjc.Attribute]:
     """Return the MJCF attribute for the maximum number of vertices of a mesh's convex hull."""
     prim = stage.usd.GetPrimAtPath(geom.path)
     names = {"newton:maxHullVertices": "maxhullvert", "mjc:maxhullvert": "maxhullvert"}
-    found = attributes(stage, prim, names)
+    found = mjc.attributes(stage, prim, names)
     return {key: value for key, value in found.items() if isinstance(value, int) and value > 0}
 
 
@@ -111,7 +88,7 @@ def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
     return None
 
 
-def _friction(stage: Stage, prim: Usd.Prim, geom: Geom) -> dict[str, Attribute]:
+def _friction(stage: Stage, prim: Usd.Prim, geom: desc.Geom) -> dict[str, mjc.Attribute]:
     bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
     if not bound or geom.friction is None:
         return {}
@@ -131,20 +108,20 @@ COUPLED = {"NewtonMimicAPI", "MjcEqualityJointAPI"}
 CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
 
 
-def with_closure_extra(stage: Stage, closure: Closure) -> Closure:
+def with_closure_extra(stage: Stage, closure: desc.Closure) -> desc.Closure:
     """Return a loop closure with MuJoCo's attributes for the stiffness and the activity of the constraint."""
     prim = stage.usd.GetPrimAtPath(closure.path)
     if not CLOSED & set(schemas(prim)):
         return closure
-    found = attributes(stage, prim, SOLVER)
+    found = mjc.attributes(stage, prim, SOLVER)
     if closure.kind == "weld":
-        found |= attributes(stage, prim, {"mjc:torqueScale": "torquescale"})
+        found |= mjc.attributes(stage, prim, {"mjc:torqueScale": "torquescale"})
     if stage.ledger.read(prim, "physics:jointEnabled", "active") is False:
         found["active"] = False
     return replace(closure, extra={**closure.extra, **found})
 
 
-def read_couplings(stage: Stage, dofs: Mapping[str, Dof]) -> tuple[Coupling, ...]:
+def read_couplings(stage: Stage, dofs: Mapping[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
     """Return the joint couplings of NewtonMimicAPI and MjcEqualityJointAPI; ``dofs`` is keyed by prim path."""
     found = []
     for prim in stage.prims:
@@ -161,8 +138,8 @@ def read_couplings(stage: Stage, dofs: Mapping[str, Dof]) -> tuple[Coupling, ...
     return tuple(found)
 
 
-def _coupling(stage: Stage, prim: Usd.Prim, dof: Dof, leader: Dof) -> Coupling:
-    extra: dict[str, Attribute] = attributes(stage, prim, SOLVER)
+def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> desc.Coupling:
+    extra: dict[str, mjc.Attribute] = mjc.attributes(stage, prim, SOLVER)
     if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
         extra["active"] = False
     name = f"{dof.name}_coupling"
@@ -177,7 +154,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: Dof, leader: Dof) -> Coupling:
         if value is not None:
             values[index] = float(value)
     a, b, c, d, e = values
-    return Coupling(name, dof.path, dof.name, leader.name, (a, b, c, d, e), extra)
+    return desc.Coupling(name, dof.path, dof.name, leader.name, (a, b, c, d, e), extra)
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
@@ -207,82 +184,70 @@ COMPILER = {  # reasons for omitting settings
 }
 
 
-def with_options(stage: Stage, robot: RobotDescription) -> RobotDescription:
+def with_options(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with the options and flags of the physics scene, and with its compiler settings applied."""
     scene = find_scene(stage)
     if scene is None:
         return robot
     for name in SOLVER_OPTIONS.split():
-        leave(stage, scene, f"mjc:option:{name}", SOLVER_REASON)
+        mjc.leave(stage, scene, f"mjc:option:{name}", SOLVER_REASON)
     for name, reason in COMPILER.items():
-        leave(stage, scene, f"mjc:compiler:{name}", reason)
+        mjc.leave(stage, scene, f"mjc:compiler:{name}", reason)
     robot = with_compiled_masses(stage, scene, robot)
-    flags = {**robot.flag, **_flags(stage, scene)}
-    return replace(robot, option={**robot.option, **_options(stage, scene)}, flag=flags)
-
-
-def _options(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
-    found: dict[str, Attribute] = {}
+    switches = mjc.attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS.split()})
+    passive = stage.ledger.read(scene, "mjc:flag:passive", "flags spring and damper")  # of older files
+    if passive is not None:
+        switches = {"spring": passive, "damper": passive, **switches}
+    flags = {**robot.flag, **{name: "enable" if on else "disable" for name, on in switches.items()}}
+    found: dict[str, mjc.Attribute] = {}
     name = "mjc:option:integrator"
     integrator = stage.ledger.read(scene, name, "option integrator")
     if integrator in INTEGRATORS:
         found["integrator"] = INTEGRATORS[integrator]
     elif integrator is not None:
         stage.ledger.leave(scene.GetPath(), name, "not an integrator of MuJoCo", integrator)
-    found |= attributes(stage, scene, OPTIONS)
-    off = [g for g in indices(stage, scene, "mjc:option:actuatorgroupdisable", "option") if 0 <= g < GROUPS]
+    found |= mjc.attributes(stage, scene, OPTIONS)
+    off = [g for g in mjc.indices(stage, scene, "mjc:option:actuatorgroupdisable", "option") if 0 <= g < GROUPS]
     if off:
         found["actuatorgroupdisable"] = " ".join(map(str, off))
-    return found
-
-
-def _flags(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
-    found = attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS.split()})
-    passive = stage.ledger.read(scene, "mjc:flag:passive", "flags spring and damper")  # of older files
-    if passive is not None:
-        found = {"spring": passive, "damper": passive, **found}
-    return {name: "enable" if on else "disable" for name, on in found.items()}
+    return replace(robot, option={**robot.option, **found}, flag=flags)
 
 
 COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")
 
 
-def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: RobotDescription) -> RobotDescription:
+def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with the masses and inertias that result from the physics scene's compiler settings."""
-    values = {
-        name: stage.ledger.read(scene, f"mjc:compiler:{name}", "masses and inertias of the bodies")
-        for name in COMPILED_MASSES
-    }
+    became = "masses and inertias of the bodies"
+    values = {name: stage.ledger.read(scene, f"mjc:compiler:{name}", became) for name in COMPILED_MASSES}
     if not any(values.values()):
         return robot
-    bodies = robot.bodies
     least, smallest = values["boundMass"] or 0.0, values["boundInertia"] or 0.0
-    inertials = [_bounded(body.inertial, least, smallest) for body in bodies]
+    inertials = [_bounded(body.inertial, least, smallest) for body in robot.bodies]
     total, wanted = sum(inertial.mass for inertial in inertials), values["setTotalMass"] or 0.0
     if wanted > 0 and total > 0:
         stage.ledger.assume(scene.GetPath(), "mjc:compiler:setTotalMass scales all masses", f"{wanted / total:.6g}")
         inertials = [_scaled(inertial, wanted / total) for inertial in inertials]
-    return replace(
-        robot, bodies=tuple(replace(b, inertial=inertial) for b, inertial in zip(bodies, inertials, strict=True))
-    )
+    pairs = zip(robot.bodies, inertials, strict=True)
+    return replace(robot, bodies=tuple(replace(body, inertial=inertial) for body, inertial in pairs))
 
 
-def _bounded(inertial: Inertial, least: float, smallest: float) -> Inertial:
+def _bounded(inertial: desc.Inertial, least: float, smallest: float) -> desc.Inertial:
     a, b, c = (max(moment, smallest) for moment in inertial.moments)
     return replace(inertial, mass=max(inertial.mass, least), moments=(a, b, c))
 
 
-def _scaled(inertial: Inertial, factor: float) -> Inertial:
+def _scaled(inertial: desc.Inertial, factor: float) -> desc.Inertial:
     a, b, c = inertial.moments
-    moments: Vec3 = (a * factor, b * factor, c * factor)
+    moments: desc.Vec3 = (a * factor, b * factor, c * factor)
     return replace(inertial, mass=inertial.mass * factor, moments=moments)
 
 
-def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
+def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with all data of MuJoCo's USD schemas, matched by prim path."""
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
-    robot = with_wraps(stage, links, robot)
+    robot = mjc.with_wraps(stage, links, robot)
     hulls = {g.mesh: found for g in _all_geoms(robot) if g.mesh and (found := hull_size(stage, g))}
     robot = replace(
         robot,
@@ -296,9 +261,9 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
     sites = {site.path: site.name for body in robot.bodies for site in body.sites}
     sites |= {site.path: site.name for site in robot.static_sites}
     shapes = {geom.path: geom.name for geom in _all_geoms(robot)}
-    tendons = distinct(robot.tendons, read_tendons(stage, names, sites, shapes))
+    tendons = distinct(robot.tendons, mjc.read_tendons(stage, names, sites, shapes))
     ranged = {dof.name for dof in robot.dofs if dof.range} | {t.name for t in (*robot.tendons, *tendons) if t.range}
-    targets = Targets(
+    targets = mjc.Targets(
         ranged=ranged,
         joints=names,
         tendons={tendon.path: tendon.name for tendon in tendons},
@@ -310,7 +275,7 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
         robot,
         tendons=(*robot.tendons, *tendons),
         couplings=(*robot.couplings, *couplings),
-        actuators=(*robot.actuators, *read_actuators(stage, targets)),
+        actuators=(*robot.actuators, *mjc.read_actuators(stage, targets)),
     )
     # If a joint has both a USD drive and a MuJoCo actuator, the actuator has more information.
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
@@ -324,25 +289,25 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
     robot = replace(robot, bodies=tuple(bodies))
     robot = replace(robot, actuators=distinct([dof for dof in robot.dofs if dof.drive], robot.actuators))
     robot = with_options(stage, robot)
-    return replace(robot, keyframes=(*robot.keyframes, *read_keyframes(stage, robot)))
+    return replace(robot, keyframes=(*robot.keyframes, *mjc.read_keyframes(stage, robot)))
 
 
-Part = TypeVar("Part", Site, Tendon, Coupling, Actuator)
+Part = TypeVar("Part", desc.Site, desc.Tendon, desc.Coupling, desc.Actuator)
 
 
-def distinct(known: Iterable[Dof | Part], parts: Iterable[Part]) -> tuple[Part, ...]:
+def distinct(known: Iterable[desc.Dof | Part], parts: Iterable[Part]) -> tuple[Part, ...]:
     """Return ``parts`` with a number appended to each name that one of the ``known`` parts has."""
-    names = Numbered(item.name for item in known)
+    names = desc.Numbered(item.name for item in known)
     return tuple(replace(part, name=names.take(part.name)) for part in parts)
 
 
-def single_dofs(robot: RobotDescription) -> dict[str, Dof]:
+def single_dofs(robot: desc.RobotDescription) -> dict[str, desc.Dof]:
     """Return the degree of freedom of each joint with exactly one, by prim path."""
-    found: dict[str, Dof | None] = {}
+    found: dict[str, desc.Dof | None] = {}
     for dof in robot.dofs:
         found[dof.path] = None if dof.path in found else dof
     return {path: dof for path, dof in found.items() if dof is not None}
 
 
-def _all_geoms(robot: RobotDescription) -> list[Geom]:
+def _all_geoms(robot: desc.RobotDescription) -> list[desc.Geom]:
     return [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]

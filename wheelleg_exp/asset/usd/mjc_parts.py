@@ -14,21 +14,13 @@ from typing import Any, Literal
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.robot_description import (
-    Actuator,
-    Geom,
-    Keyframe,
-    Numbered,
-    RobotDescription,
-    Tendon,
-    TendonPoint,
-    unique_names,
-)
-from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links, shown_names
-from wheelleg_exp.asset.usd.colliders import is_site
+from wheelleg_exp.asset import robot_description as desc
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links
+from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
+Names = Mapping[str, str]  # MJCF names by prim path
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
@@ -124,13 +116,8 @@ TYPES = {  # MJCF's words
     "gainType": {"fixed", "affine", "muscle", "user"},
     "biasType": {"none", "affine", "muscle", "user"},
 }
-ACTUATOR_ATTRIBUTES = {
-    "mjc:group": "group",
-    "mjc:actDim": "actdim",
-    "mjc:actEarly": "actearly",
-    "mjc:crankLength": "cranklength",
-    "mjc:inheritRange": "inheritrange",
-}
+_OF_ACTUATORS = "group actDim actEarly crankLength inheritRange"
+ACTUATOR_ATTRIBUTES = {f"mjc:{name}": name.lower() for name in _OF_ACTUATORS.split()}
 
 
 @dataclass(frozen=True)
@@ -144,24 +131,20 @@ class Targets:
     bodies: dict[str, str] = field(default_factory=dict)
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
-        kinds: tuple[tuple[Transmission, dict[str, str]], ...] = (
-            ("joint", self.joints),
-            ("tendon", self.tendons),
-            ("site", self.sites),
-            ("body", self.bodies),
-        )
-        return next(((kind, names[path]) for kind, names in kinds if path in names), None)
+        """Return the transmission and the MJCF name of a target; None if the MJCF lacks it."""
+        kinds: tuple[Transmission, ...] = ("joint", "tendon", "site", "body")
+        pairs = zip(kinds, (self.joints, self.tendons, self.sites, self.bodies), strict=True)
+        return next(((kind, names[path]) for kind, names in pairs if path in names), None)
 
 
-def read_actuators(stage: Stage, targets: Targets) -> tuple[Actuator, ...]:
+def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
     """Return the actuators whose target is in the MJCF, in the order of the stage."""
-    prims = [prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR]
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_actuator(stage, prim, names[str(prim.GetPath())], targets) for prim in prims)
+    prims = named([prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR])
+    found = (_actuator(stage, prim, name, targets) for prim, name in prims)
     return tuple(actuator for actuator in found if actuator is not None)
 
 
-def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actuator | None:
+def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc.Actuator | None:
     paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
     target = targets.find(paths[0]) if paths else None
     if target is None:
@@ -200,7 +183,7 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actu
         stage.ledger.leave(prim.GetPath(), "mjc:inheritRange", reason, extra.pop("inheritrange"))
         stage.ledger.warn(f"{prim.GetPath()}: mjc:inheritRange was left out: {reason}")
     stage.ledger.mapped(prim.GetPath(), ACTUATOR, f"actuator {name}")
-    return Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
+    return desc.Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
 
 
 def _leave_actuator(stage: Stage, prim: Usd.Prim, reason: str) -> None:
@@ -231,24 +214,13 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
     return [prim for prim in stage.prims if prim.GetTypeName() == TENDON]
 
 
-def read_tendons(
-    stage: Stage, joints: Mapping[str, str], sites: Mapping[str, str], geoms: Mapping[str, str]
-) -> tuple[Tendon, ...]:
+def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
     """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
-    prims = tendon_prims(stage)
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_tendon(stage, prim, names[str(prim.GetPath())], joints, sites, geoms) for prim in prims)
+    found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(tendon_prims(stage)))
     return tuple(tendon for tendon in found if tendon is not None)
 
 
-def _tendon(
-    stage: Stage,
-    prim: Usd.Prim,
-    name: str,
-    joints: Mapping[str, str],
-    sites: Mapping[str, str],
-    geoms: Mapping[str, str],
-) -> Tendon | None:
+def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names, geoms: Names) -> desc.Tendon | None:
     fixed = stage.ledger.read(prim, "mjc:type", "fixed or spatial") == "fixed"
     try:
         factors = _factors(stage, prim, joints) if fixed else ()
@@ -266,7 +238,7 @@ def _tendon(
     stage.ledger.mapped(prim.GetPath(), TENDON, f"tendon {name}")
     span = bounds.get("range")
     length = (span[0], span[1]) if isinstance(span, tuple) else None
-    return Tendon(name, str(prim.GetPath()), points, factors, length, extra)
+    return desc.Tendon(name, str(prim.GetPath()), points, factors, length, extra)
 
 
 class _BrokenPath(Exception):
@@ -292,29 +264,11 @@ def _factors(stage: Stage, prim: Usd.Prim, joints: Mapping[str, str]) -> tuple[t
     return tuple((joints[path], factor) for path, factor in zip(route, factors, strict=True))
 
 
-def _points(
-    stage: Stage, prim: Usd.Prim, sites: Mapping[str, str], geoms: Mapping[str, str]
-) -> tuple[TendonPoint, ...]:
+def _points(stage: Stage, prim: Usd.Prim, sites: Names, geoms: Names) -> tuple[desc.TendonPoint, ...]:
     route = _route(stage, prim)
     segments = indices(stage, prim, "mjc:path:segments", "the tendon's pulleys") or [0] * len(route)
     divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)
-    sides = _sides(stage, prim, len(route), sites)
-    if len(segments) != len(route) or max(segments) >= len(divisors):
-        raise _BrokenPath("the tendon's path does not match its segments")
-    points: list[TendonPoint] = []
-    current = 0
-    for path, segment, side in zip(route, segments, sides, strict=True):
-        # MJCF marks a new tendon segment by a pulley with the segment's divisor.
-        if segment != current or (not points and divisors[0] != 1.0):
-            points.append(TendonPoint("pulley", divisor=divisors[segment]))
-        current = segment
-        if path not in sites and path not in geoms:
-            raise _BrokenPath(f"there is no site or geom '{path}' in the model")
-        points.append(TendonPoint("site", sites[path]) if path in sites else TendonPoint("geom", geoms[path], side))
-    return tuple(points)
-
-
-def _sides(stage: Stage, prim: Usd.Prim, count: int, sites: Mapping[str, str]) -> list[str | None]:
+    count = len(route)
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
     order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
     if len(order) != count or max(order) >= len(targets):
@@ -322,30 +276,50 @@ def _sides(stage: Stage, prim: Usd.Prim, count: int, sites: Mapping[str, str]) -
     missing = [path for path in targets if path not in sites]
     if missing:
         raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
-    return [sites[targets[i]] if i >= 0 else None for i in order]
+    sides = [sites[targets[i]] if i >= 0 else None for i in order]
+    if len(segments) != len(route) or max(segments) >= len(divisors):
+        raise _BrokenPath("the tendon's path does not match its segments")
+    points: list[desc.TendonPoint] = []
+    current = 0
+    for path, segment, side in zip(route, segments, sides, strict=True):
+        # MJCF marks a new tendon segment by a pulley with the segment's divisor.
+        if segment != current or (not points and divisors[0] != 1.0):
+            points.append(desc.TendonPoint("pulley", divisor=divisors[segment]))
+        current = segment
+        if path not in sites and path not in geoms:
+            raise _BrokenPath(f"there is no site or geom '{path}' in the model")
+        points.append(
+            desc.TendonPoint("site", sites[path]) if path in sites else desc.TendonPoint("geom", geoms[path], side)
+        )
+    return tuple(points)
 
 
 WRAPPED = {"sphere", "cylinder"}
 
 
-def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
+def with_wraps(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with a geom added for each shape on a tendon's path that has no geom yet."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
-    prims = [prim for prim in _wrapped(stage) if str(prim.GetPath()) not in known]
+    found: dict[str, Usd.Prim] = {}
+    for tendon in tendon_prims(stage):
+        for target in stage.ledger.targets(tendon, "mjc:path"):
+            wrapped = stage.usd.GetPrimAtPath(target)
+            if wrapped and not is_site(wrapped):
+                found[str(target)] = wrapped
+    prims = named([prim for prim in found.values() if str(prim.GetPath()) not in known])
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
-    taken = Numbered(geom.name for geom in geoms)
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    added: dict[str | None, list[Geom]] = {}
-    for prim in prims:
+    taken = desc.Numbered(geom.name for geom in geoms)
+    added: dict[str | None, list[desc.Geom]] = {}
+    for prim, own_name in prims:
         link = links.owner(prim.GetPath())
         inside = link.frame.inverse().matrix() @ stage.matrix(prim) if link else stage.matrix(prim)
         shape = shape_of(prim, inside)
         if shape is None or shape.kind not in WRAPPED:
             continue
         path = str(prim.GetPath())
-        name = taken.take(names[path])
+        name = taken.take(own_name)
         stage.ledger.mapped(path, str(prim.GetTypeName()), f"geom {name}, which tendons wrap around")
-        geom = Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
+        geom = desc.Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
         added.setdefault(link.path if link else None, []).append(geom)
     if not added:
         return robot
@@ -353,43 +327,20 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
     return replace(robot, bodies=bodies, static_geoms=(*robot.static_geoms, *added.get(None, [])))
 
 
-def _wrapped(stage: Stage) -> list[Usd.Prim]:
-    found: dict[str, Usd.Prim] = {}
-    for tendon in tendon_prims(stage):
-        for path in stage.ledger.targets(tendon, "mjc:path"):
-            prim = stage.usd.GetPrimAtPath(path)
-            if prim and not is_site(prim):
-                found[str(path)] = prim
-    return list(found.values())
-
-
 KEYFRAME = "MjcKeyframe"
 KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "ctrl", "mpos", "mquat")}
 
 
-def read_keyframes(stage: Stage, robot: RobotDescription) -> tuple[Keyframe, ...]:
+def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
     """Return the keyframes whose arrays match the robot's numbers of coordinates, velocities, and controls."""
-    prims = [prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME]
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_keyframe(stage, prim, names[str(prim.GetPath())], robot) for prim in prims)
+    prims = named([prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME])
+    found = (_keyframe(stage, prim, name, robot) for prim, name in prims)
     return tuple(keyframe for keyframe in found if keyframe is not None)
 
 
-def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) -> Keyframe | None:
+def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescription) -> desc.Keyframe | None:
     extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
-    for key, count in keyframe_sizes(robot).items():
-        value = extra.get(key)
-        if isinstance(value, tuple) and len(value) != count:
-            reason = f"its {key} has {len(value)} numbers, the model {count}"
-            stage.ledger.leave(prim.GetPath(), KEYFRAME, reason)
-            stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
-            return None
-    stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
-    return Keyframe(name, str(prim.GetPath()), extra)
-
-
-def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
-    """Return the required length of each array of a keyframe."""
+    # The required length of each array of a keyframe.
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls
@@ -400,11 +351,19 @@ def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
         stateful = actuator.extra.get("dyntype", "none") != "none"
         states += own if isinstance(own, int) and own >= 0 else int(stateful)
     controls = len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs)
-    return {
+    for key, count in {
         "qpos": 7 * free + 4 * balls + single,
         "qvel": 6 * free + 3 * balls + single,
         "ctrl": controls,
         "act": states,
         "mpos": 3 * mocap,
         "mquat": 4 * mocap,
-    }
+    }.items():
+        value = extra.get(key)
+        if isinstance(value, tuple) and len(value) != count:
+            reason = f"its {key} has {len(value)} numbers, the model {count}"
+            stage.ledger.leave(prim.GetPath(), KEYFRAME, reason)
+            stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
+            return None
+    stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
+    return desc.Keyframe(name, str(prim.GetPath()), extra)

@@ -8,10 +8,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Sdf, UsdGeom, UsdPhysics
 
 from wheelleg_exp.asset.robot_description import Extra, Geom, Mesh, Numbered, Rgba, file_stem, unique_names
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
@@ -40,6 +40,7 @@ class Geoms:
         self._names = {key: _names(key, group) for key, group in self.pieces.items()}
 
     def of(self, link: Link | None) -> tuple[Geom, ...]:
+        """Return the geoms of a body (None: the world)."""
         key = link.path if link else None
         owner = link.name if link else "world"
         return tuple(self._geom(piece, owner, self._names[key]) for piece in self.pieces.get(key, []))
@@ -58,17 +59,15 @@ class Geoms:
                 return look
         return None, None
 
-    def _name(self, owner: str, short: str, collides: bool) -> str:
-        """Return a geom's name: the body's, the shape's, and ``visual``; numbered if repeated."""
-        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
-        name += "" if collides else "_visual"
-        return self._taken.take(name)
-
     def _geom(self, piece: Piece, owner: str, names: dict[str, str]) -> Geom:
         shape, path = piece.shape, piece.path
         material, rgba = self._surfaces.get(piece.path, (None, None))
         kind = "collider" if piece.collides else "visual"
-        name = self._name(owner, names[piece.path], piece.collides)
+        # A geom's name: the body's, the shape's, and ``visual``; numbered if repeated.
+        short = names[piece.path]
+        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
+        name += "" if piece.collides else "_visual"
+        name = self._taken.take(name)
         self.stage.ledger.mapped(path, str(piece.prim.GetTypeName()), f"{kind} geom {name} ({shape.kind})")
         return Geom(
             name=name,
@@ -91,12 +90,9 @@ class Geoms:
         faces = shape.faces if shape.faces is not None and len(shape.faces) else np.zeros((0, 3), dtype=np.int64)
         key = hashlib.sha256(vertices.tobytes() + faces.astype(np.int64).tobytes() + bytes([solid])).hexdigest()
         if key not in self.meshes:
-            self.meshes[key] = Mesh(self._mesh_name(name), vertices, faces, solid)
+            stem = file_stem(name)
+            self.meshes[key] = Mesh(stem + self._files.take(stem.lower())[len(stem) :], vertices, faces, solid)
         return self.meshes[key].name
-
-    def _mesh_name(self, name: str) -> str:
-        stem = file_stem(name)
-        return stem + self._files.take(stem.lower())[len(stem) :]
 
 
 def _faces(subset: UsdGeom.Subset) -> int:
@@ -179,8 +175,10 @@ def read_filters(
     for part in quiet or ():
         inside = {path for path, piece in solid.items() if piece.link and piece.link.path in part}
         rules.add(inside, inside)
+    touching = [joint.links for joint in joints if not joint.may_collide]
+    joined = [(first.name, second.name) for first, second in touching if first and second]
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
-    pairs = {_ordered(order, a, b): None for a, b in (*_joined(joints), *bare)}
+    pairs = {_ordered(order, a, b): None for a, b in (*joined, *bare)}
     # MJCF excludes of bodies are easier to read than collision bits, so bits are used only if necessary.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
@@ -209,13 +207,6 @@ def read_filters(
 
 def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
     return (a, b) if order[a] <= order[b] else (b, a)
-
-
-def _joined(joints: list[Joint]) -> Iterator[tuple[str, str]]:
-    for joint in joints:
-        first, second = joint.links
-        if first and second and not joint.may_collide:
-            yield first.name, second.name
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
@@ -262,21 +253,17 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
         taken |= dict.fromkeys(inside - double, group.GetPath())
     table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage.usd)
     for group in groups:
-        _account(stage, group.GetPrim(), len(members[group.GetPath()]))
+        place, count = group.GetPath(), len(members[group.GetPath()])
+        stage.ledger.mapped(place, "PhysicsCollisionGroup", f"contact excludes of {count} colliders")
+        for name in (prop.GetName() for prop in group.GetPrim().GetAuthoredProperties()):
+            if name in GROUP_PROPERTIES or name.startswith("collection:colliders"):
+                stage.ledger.mapped(place, name, "contact excludes")
     for first, second in combinations_with_replacement([group.GetPath() for group in groups], 2):
         if not table.IsCollisionEnabled(first, second):
             rules.add(members[first], members[second])
 
 
 GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:invertFilteredGroups")
-
-
-def _account(stage: Stage, prim: Usd.Prim, count: int) -> None:
-    path = prim.GetPath()
-    stage.ledger.mapped(path, "PhysicsCollisionGroup", f"contact excludes of {count} colliders")
-    for prop in prim.GetAuthoredProperties():
-        if prop.GetName() in GROUP_PROPERTIES or prop.GetName().startswith("collection:colliders"):
-            stage.ledger.mapped(path, prop.GetName(), "contact excludes")
 
 
 def _body_pairs(
@@ -299,15 +286,9 @@ def _body_pairs(
     for first, second in combinations_with_replacement(alike, 2):
         apart = [(a, b) in forbidden for a in first for b in second]
         if any(apart):
-            (whole if all(apart) else partly).extend(_products(alike[first], alike[second]))
+            one, other = alike[first], alike[second]
+            (whole if all(apart) else partly).extend(combinations(one, 2) if one is other else product(one, other))
     return whole, partly
-
-
-def _products(first: list[str], second: list[str]) -> Iterator[tuple[str, str]]:
-    if first is second:
-        yield from ((a, b) for i, a in enumerate(first) for b in first[i + 1 :])
-    else:
-        yield from ((a, b) for a in first for b in second)
 
 
 SWITCHES = ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnabled")
@@ -320,17 +301,9 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
         if all(value is None or value for value in values):
             continue
-        for link in _meant(graph, str(prim.GetPath())):
+        # The bodies that a switch on a prim applies to: those at or below it, or those that a joint joins.
+        path = str(prim.GetPath())
+        joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
+        for link in joined or graph.links.below(Sdf.Path(path)):
             parts[frozenset(other.path for other in graph.component(link))] = None
     return list(parts)
-
-
-def _meant(graph: Graph, path: str) -> list[Link]:
-    """Return the bodies that a switch on a prim applies to: those at or below it, or those that a joint joins."""
-    joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
-    return joined or graph.links.below(Sdf.Path(path))
-
-
-def all_quiet(parts: list[frozenset[str]], solid: set[str]) -> bool:
-    """Return whether one articulation without self-collision contains all bodies with colliders."""
-    return len(parts) == 1 and solid <= parts[0]

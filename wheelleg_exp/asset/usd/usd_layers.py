@@ -100,12 +100,12 @@ class Missing:
     @property
     def looks_only(self) -> bool:
         """Whether the missing file contains only visuals, judging by its suffix or by the prims that name the file."""
-        return bool(_NO_LAYER.search(self.name)) or all(
-            any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims
-        )
+        inside = (any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims)
+        return bool(_NO_LAYER.search(self.name)) or all(inside)
 
     @property
     def prim(self) -> Sdf.Path:
+        """The first prim that names the missing layer or prim."""
         return self.prims[0]
 
 
@@ -113,26 +113,19 @@ def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
     """Return the layers and prims that USD composition could not find, without duplicates."""
     found: dict[str, Missing] = {}
     for error in usd.GetCompositionErrors():
-        item = _missing(str(error), f"{source.resolve().parent}/")
+        line = " ".join(str(error).split())
+        holder = re.search(r"(?:introduced by @[^@]*@|Cycle detected: @[^<]*)<([^>]*)>", line)
+        prim = Sdf.Path(holder.group(1)) if holder else Sdf.Path.absoluteRootPath
+        file = re.search(r"(?:open asset|load sublayer) @([^@]+)@", line)
+        target = re.search(r"Unresolved \w+ prim path @[^@]*@<([^>]*)>", line)
+        name = f"a cycle of layers or references at {prim}" if "ycle" in line else line[:200]
+        name = target.group(1) if target else name
+        name = file.group(1).removeprefix(f"{source.resolve().parent}/") if file else name
+        item = Missing(name, (prim,), line, is_file=bool(file))
         known = found.setdefault(item.name, item)
         if item.prim not in known.prims:
             found[item.name] = replace(known, prims=(*known.prims, item.prim))
     return list(found.values())
-
-
-def _missing(text: str, folder: str) -> Missing:
-    line = " ".join(text.split())
-    holder = re.search(r"(?:introduced by @[^@]*@|Cycle detected: @[^<]*)<([^>]*)>", line)
-    prim = Sdf.Path(holder.group(1)) if holder else Sdf.Path.absoluteRootPath
-    file = re.search(r"(?:open asset|load sublayer) @([^@]+)@", line)
-    if file:
-        return Missing(file.group(1).removeprefix(folder), (prim,), line, is_file=True)
-    target = re.search(r"Unresolved \w+ prim path @[^@]*@<([^>]*)>", line)
-    if target:
-        return Missing(target.group(1), (prim,), line, is_file=False)
-    if "ycle" in line:
-        return Missing(f"a cycle of layers or references at {prim}", (prim,), line, is_file=False)
-    return Missing(line[:200], (prim,), line, is_file=False)
 
 
 def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Missing], source: Path) -> None:
@@ -144,12 +137,9 @@ def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Mis
     for item, holder, lost in _losses(usd, list(prims), arcs):
         also = f", and so is the layer '{files[0]}'" if files and not item.is_file else ""
         missing_is = f"the layer '{item.name}' is missing" if item.is_file else f"'{item.name}' is missing{also}"
-        raise AssetError(
-            f"{missing_is}, and {lost}",
-            key=str(holder) if not holder.IsAbsoluteRootPath() else None,
-            where=str(source),
-            expected="that layer at the named path",
-        )
+        message = f"{missing_is}, and {lost}"
+        key = str(holder) if not holder.IsAbsoluteRootPath() else None
+        raise AssetError(message, key=key, where=str(source), expected="that layer at the named path")
 
 
 def _losses(

@@ -15,23 +15,12 @@ from typing import Any
 import numpy as np
 from pxr import Usd
 
+from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.asset.report_writer import summarise
 from wheelleg_exp.asset.rigid_geometry import single
-from wheelleg_exp.asset.robot_description import (
-    BaseMode,
-    Body,
-    Dof,
-    Drive,
-    Geom,
-    Inertial,
-    Pose,
-    RobotDescription,
-    Site,
-    Vec3,
-)
 from wheelleg_exp.asset.usd.audit import audit
-from wheelleg_exp.asset.usd.bodies.body_tree import Node, Tree, build_tree, read_closures
+from wheelleg_exp.asset.usd.bodies.body_tree import Node, build_tree, read_closures
 from wheelleg_exp.asset.usd.bodies.mass import inertial_of
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import find_links, velocity_of
 from wheelleg_exp.asset.usd.bodies.roots import Graph
@@ -40,14 +29,14 @@ from wheelleg_exp.asset.usd.joints.articulate import dofs_of
 from wheelleg_exp.asset.usd.joints.joint_couplings import Ropes, read_mimics, read_ropes
 from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, read_joints
 from wheelleg_exp.asset.usd.mjc_overlay import with_mujoco
-from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, all_quiet, quiet_parts, read_filters
+from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, quiet_parts, read_filters
 from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
 
 HALF_STEP = 2.0**-25
 MOST_DIGITS = 9
 
 
-def shortened(stage: Stage, robot: RobotDescription) -> RobotDescription:
+def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return a robot whose single-precision numbers are the shortest decimals that read back as the same number."""
     coarse = all(_is_single(prim) for prim in stage.prims)
     bodies = tuple(_short_body(stage, body, coarse) for body in robot.bodies)
@@ -67,24 +56,20 @@ def _is_single(prim: Usd.Prim) -> bool:
     return True
 
 
-def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
+def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
     by_joint = body.parent is not None
+    # Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other.
+    w, x, y, z = _shortest(body.inertial.axes, 1.0)
     return replace(
         body,
         pose=_short_pose(body.pose) if by_joint or coarse else body.pose,
-        inertial=_short_inertial(body.inertial),
+        inertial=replace(body.inertial, center_of_mass=_short_vector(body.inertial.center_of_mass), axes=(w, x, y, z)),
         dofs=tuple(_short_dof(stage, dof) for dof in body.dofs),
         geoms=tuple(_short_geom(geom) for geom in body.geoms) if coarse else body.geoms,
     )
 
 
-def _short_inertial(inertial: Inertial) -> Inertial:
-    """Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other."""
-    w, x, y, z = _shortest(inertial.axes, 1.0)
-    return replace(inertial, center_of_mass=_short_vector(inertial.center_of_mass), axes=(w, x, y, z))
-
-
-def _short_dof(stage: Stage, dof: Dof) -> Dof:
+def _short_dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     """Shorten the numbers of a joint without attributes of MuJoCo's schemas, which have double precision."""
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
@@ -100,7 +85,7 @@ def _short_dof(stage: Stage, dof: Dof) -> Dof:
     )
 
 
-def _short_drive(drive: Drive) -> Drive:
+def _short_drive(drive: desc.Drive) -> desc.Drive:
     return replace(
         drive,
         stiffness=single(drive.stiffness),
@@ -111,16 +96,16 @@ def _short_drive(drive: Drive) -> Drive:
     )
 
 
-def _short_geom(geom: Geom) -> Geom:
+def _short_geom(geom: desc.Geom) -> desc.Geom:
     return replace(geom, size=tuple(single(value) for value in geom.size), pose=_short_pose(geom.pose))
 
 
-def _short_pose(pose: Pose) -> Pose:
+def _short_pose(pose: desc.Pose) -> desc.Pose:
     w, x, y, z = _shortest(pose.rotation, 1.0)
-    return Pose(_short_vector(pose.position), (w, x, y, z))
+    return desc.Pose(_short_vector(pose.position), (w, x, y, z))
 
 
-def _short_vector(values: Vec3) -> Vec3:
+def _short_vector(values: desc.Vec3) -> desc.Vec3:
     x, y, z = _shortest(values, max(map(abs, values)))
     return x, y, z
 
@@ -133,7 +118,7 @@ def _shortest(values: Iterable[float], size: float) -> list[float]:
     return found
 
 
-def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
+def read_usd(source: Path, base: desc.BaseMode, variants: Mapping[str, str]) -> tuple[desc.RobotDescription, Report]:
     """Read the robot of a USD file, and make its conversion report."""
     with library(source):
         stage = open_stage(source, variants)
@@ -141,7 +126,7 @@ def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple
         return robot, summarise(stage, robot)
 
 
-def describe(stage: Stage, base: BaseMode) -> RobotDescription:
+def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     """Return the robot description of an open USD stage."""
     links = find_links(stage)
     joints = read_joints(stage, links)
@@ -149,13 +134,15 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
     # If one articulation without self-collision contains all colliders, a default class can disable self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
-    touching = not all_quiet(quiet, {piece.link.path for piece in pieces if piece.link and piece.collides})
+    solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
+    touching = len(quiet) != 1 or not solid <= quiet[0]
     filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
     parts = _Parts(stage, Geoms(stage, pieces), filters, ropes)
     parts.sites = find_sites(stage, links)
     dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
     bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
-    robot = RobotDescription(
+    levels = sorted(tree.nodes, key=lambda node: node.depth)
+    robot = desc.RobotDescription(
         name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
         bodies=bodies,
         gravity=gravity(stage),
@@ -168,46 +155,38 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
         materials=tuple(parts.shapes.materials.values()),
         meshes=tuple(parts.shapes.meshes.values()),
         self_collision=touching,
-        breadth_first_dofs=_breadth_first(tree, dofs),
+        breadth_first_dofs=tuple(
+            dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1]
+        ),
     )
-    robot = shortened(stage, _integrated(stage, with_mujoco(stage, links, robot)))
+    robot = with_mujoco(stage, links, robot)
+    if "integrator" not in robot.option and any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
+        # MuJoCo's default integrator is unstable with stiff drives.
+        stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
+        robot = replace(robot, option={**robot.option, "integrator": "implicitfast"})
+    robot = shortened(stage, robot)
     audit(stage)
     return robot
-
-
-def _integrated(stage: Stage, robot: RobotDescription) -> RobotDescription:
-    """Set an implicit integrator for drives, as in PhysX; MuJoCo's default is unstable with stiff drives."""
-    if "integrator" in robot.option or not any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
-        return robot
-    stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
-    return replace(robot, option={**robot.option, "integrator": "implicitfast"})
-
-
-def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str, ...]:
-    levels = sorted(tree.nodes, key=lambda node: node.depth)
-    return tuple(dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1])
 
 
 class _Parts:
     def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
         self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
-        self.sites: dict[str, list[Site]] = {}
+        self.sites: dict[str, list[desc.Site]] = {}
 
-    def geoms(self, node: Node | None) -> tuple[Geom, ...]:
+    def geoms(self, node: Node | None) -> tuple[desc.Geom, ...]:
         bits = self.filters.bits
         found = self.shapes.of(node.link if node else None)
         return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
 
-    def body(self, node: Node, dofs: tuple[Dof, ...]) -> Body:
-        link = node.link
-        return Body(
+    def body(self, node: Node, dofs: tuple[desc.Dof, ...]) -> desc.Body:
+        link, pieces = node.link, self.shapes.pieces.get(node.link.path, [])
+        return desc.Body(
             name=link.name,
             path=link.path,
             parent=node.parent.name if node.parent else None,
             pose=node.pose,
-            inertial=inertial_of(
-                self.stage, link, self.shapes.pieces.get(link.path, []), welded=node.joint is not None and not dofs
-            ),
+            inertial=inertial_of(self.stage, link, pieces, welded=node.joint is not None and not dofs),
             floating=node.floating,
             velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,
             mocap=link.kinematic and node.parent is None and not dofs,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -43,12 +44,15 @@ class Units:
         return out
 
     def mass(self, value: float) -> float:
+        """Convert a mass to kg."""
         return value * self.kilograms
 
     def density(self, value: float) -> float:
+        """Convert a density to kg/m³."""
         return value * self.kilograms / self.meters**3
 
     def inertia(self, value: float) -> float:
+        """Convert a moment of inertia to kg·m²."""
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
@@ -56,6 +60,7 @@ class Units:
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
+        """Convert a torque or force to N·m or N."""
         return rounded(value * self.kilograms * self.meters ** (2 if angular else 1))
 
     def gain(self, value: float, angular: bool) -> float:
@@ -83,9 +88,7 @@ def endless(value: float | None, angular: bool) -> bool:
 
 def effort_limit(value: float | None) -> float | None:
     """Return a drive's effort limit in stage units; None if the limit is missing, infinite, huge, or not positive."""
-    if value is None or not math.isfinite(value) or value >= HUGE or value <= 0:
-        return None
-    return value
+    return None if value is None or not math.isfinite(value) or value >= HUGE or value <= 0 else value
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
@@ -100,33 +103,18 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
         holders = [prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames()]
         if not holders:
             known = list(variant_sets(root))
-            raise AssetError(
-                f"there is no variant set '{name}'",
-                key=f"--variant {name}={wanted}",
-                expected="one of " + ", ".join(known) if known else "no variants: the file has none",
-                nearest=nearest_name(name, known),
-            )
+            message, key = f"there is no variant set '{name}'", f"--variant {name}={wanted}"
+            expected = "one of " + ", ".join(known) if known else "no variants: the file has none"
+            raise AssetError(message, key=key, expected=expected, nearest=nearest_name(name, known))
         options = holders[0].GetVariantSet(name).GetVariantNames()
         if wanted not in options:
-            raise AssetError(
-                f"variant set '{name}' has no variant '{wanted}'",
-                key=f"--variant {name}={wanted}",
-                expected="one of " + ", ".join(options),
-                nearest=nearest_name(wanted, options),
-            )
+            message, key = f"variant set '{name}' has no variant '{wanted}'", f"--variant {name}={wanted}"
+            expected = "one of " + ", ".join(options)
+            raise AssetError(message, key=key, expected=expected, nearest=nearest_name(wanted, options))
         holders[0].GetVariantSet(name).SetVariantSelection(wanted)
         chosen[name] = wanted
     sets = root.GetVariantSets()
     return {**chosen, **{name: sets.GetVariantSelection(name) for name in sorted(sets.GetNames())}}
-
-
-def unselected(root: Usd.Prim) -> Iterator[str]:
-    """Yield a warning for each variant set without a selection, because USD ignores all its variants."""
-    for name, options in variant_sets(root).items():
-        holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
-        if options and not holder.GetVariantSet(name).GetVariantSelection():
-            hint = f"--variant {name}=NAME takes one of {', '.join(options)}"
-            yield f"{holder.GetPath()}: no variant of '{name}' is selected; {hint}"
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
@@ -164,10 +152,12 @@ class Stage:
 
     @cached_property
     def physics_scenes(self) -> list[Usd.Prim]:
+        """The PhysicsScene prims, in the stage's order."""
         return [prim for prim in self.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
 
     @cached_property
     def articulation_prims(self) -> list[Sdf.Path]:
+        """The paths of the prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
@@ -196,7 +186,20 @@ def schemas(prim: Usd.Prim) -> list[str]:
 
 def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     """Open the USD file ``source`` with all payloads loaded."""
-    _require_file(source)
+    expected = "a USD file (" + ", ".join(SUFFIXES) + ")"
+    require_plain_file(source, expected)
+    try:
+        if source.suffix.lower() not in SUFFIXES:
+            raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
+        with source.open("rb") as file:
+            start = file.read(len(POINTER))
+        if not start:
+            raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
+        if start == POINTER:
+            raise AssetError(f"'{source.name}' is {FETCH}", where=str(source), expected=expected)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
@@ -205,7 +208,9 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
         for layer in usd.GetUsedLayers():
             if not layer.ListAllTimeSamples():
                 continue
-            for path in _attributes(layer):
+            paths: list[Sdf.Path] = []
+            layer.Traverse("/", paths.append)
+            for path in filter(Sdf.Path.IsPropertyPath, paths):
                 spec = layer.GetAttributeAtPath(path)
                 times = layer.ListTimeSamplesForPath(path) if spec and not spec.HasDefaultValue() else []
                 value = layer.QueryTimeSample(path, times[0]) if times else None
@@ -237,23 +242,6 @@ def library(source: Path) -> Iterator[None]:
         delegate.TakeUncoalescedDiagnostics()
 
 
-def _require_file(source: Path) -> None:
-    expected = "a USD file (" + ", ".join(SUFFIXES) + ")"
-    require_plain_file(source, expected)
-    try:
-        if source.suffix.lower() not in SUFFIXES:
-            raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
-        with source.open("rb") as file:
-            start = file.read(len(POINTER))
-        if not start:
-            raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
-        if start == POINTER:
-            raise AssetError(f"'{source.name}' is {FETCH}", where=str(source), expected=expected)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
-
-
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
     """Return the USD library's first error message, for a text layer with the line number and the text of the line."""
     text = _complaint(error)
@@ -262,11 +250,9 @@ def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
         expected = "a whole USD layer, text or crate"
         return AssetError(f"'{source.name}' cannot be read: {text}", where=str(source), expected=expected)
     path, line, _, expected, found = place.groups()
-    return AssetError(
-        f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}",
-        where=f"{path}:{line}",
-        expected=expected.removeprefix("Expected ").strip() if expected else "a valid USD layer",
-    )
+    message, where = f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}", f"{path}:{line}"
+    expected = expected.removeprefix("Expected ").strip() if expected else "a valid USD layer"
+    return AssetError(message, where=where, expected=expected)
 
 
 def _complaint(error: Tf.ErrorException) -> str:
@@ -274,12 +260,6 @@ def _complaint(error: Tf.ErrorException) -> str:
     first = str(error).strip().split("Error in ")[1:2] or [str(error)]
     text = " ".join(first[0].split(" : ", 1)[-1].split()).strip("' ")
     return text if len(text) <= 300 else text[:300] + "..."
-
-
-def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
-    found: list[Sdf.Path] = []
-    layer.Traverse("/", lambda path: found.append(path) if path.IsPropertyPath() else None)
-    return found
 
 
 def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
@@ -302,22 +282,11 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
-    for text in unselected(root):
-        stage.ledger.warn(text)
-    _note_metadata(stage)
-    return stage
-
-
-def _units(usd: Usd.Stage, source: Path) -> Units:
-    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
-    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
-        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
-            expected = "a positive number, such as 1 or 0.01"
-            raise AssetError(f"the stage's {name} is {value:g}", where=str(source), expected=expected)
-    return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
-
-
-def _note_metadata(stage: Stage) -> None:
+    for name, options in variant_sets(root).items():  # USD ignores all variants of a set without a selection.
+        holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
+        if options and not holder.GetVariantSet(name).GetVariantSelection():
+            hint = f"--variant {name}=NAME takes one of {', '.join(options)}"
+            stage.ledger.warn(f"{holder.GetPath()}: no variant of '{name}' is selected; {hint}")
     top, ledger, name = stage.usd.GetPseudoRoot(), stage.ledger, stage.source.name
     for key, value in (("metersPerUnit", 0.01), ("upAxis", "Y")):
         if not top.HasAuthoredMetadata(key):
@@ -332,17 +301,22 @@ def _note_metadata(stage: Stage) -> None:
     for layer in stage.layers:
         if layer.startswith("../") or Path(layer).is_absolute():
             ledger.assume(name, f"a layer outside the file's folder is read: {layer}", "as the file asks")
+    return stage
 
 
-def _real_path(layer: Sdf.Layer) -> Path | None:
-    if layer.anonymous or not layer.realPath:
-        return None
-    return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
+def _units(usd: Usd.Stage, source: Path) -> Units:
+    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
+    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
+        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
+            expected = "a positive number, such as 1 or 0.01"
+            raise AssetError(f"the stage's {name} is {value:g}", where=str(source), expected=expected)
+    return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 
 def _hashes(usd: Usd.Stage, source: Path) -> dict[str, str]:
     folder = source.resolve().parent
-    files = {path for layer in usd.GetUsedLayers() if (path := _real_path(layer))}
+    paths = [layer.realPath for layer in usd.GetUsedLayers() if layer.realPath and not layer.anonymous]
+    files = {Path(Ar.SplitPackageRelativePathOuter(path)[0]) for path in paths}
     return {relative_name(path, folder): file_hash(path) for path in sorted(files)}
 
 
@@ -400,12 +374,8 @@ def gravity(stage: Stage) -> Vec3:
 def find_scene(stage: Stage) -> Usd.Prim | None:
     """Return MuJoCo's scene: the first PhysicsScene with MjcSceneAPI."""
     top = stage.usd.GetPseudoRoot()
-    near: Iterable[Usd.Prim] = top.GetChildren()
-    for prims in (near, Usd.PrimRange(top)):
-        for prim in prims:
-            if prim.IsA(UsdPhysics.Scene) and "MjcSceneAPI" in schemas(prim):
-                return prim
-    return None
+    prims = itertools.chain(top.GetChildren(), Usd.PrimRange(top))
+    return next((p for p in prims if p.IsA(UsdPhysics.Scene) and "MjcSceneAPI" in schemas(p)), None)
 
 
 def angle_in_radians(stage: Stage, value: float) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 
 from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
+from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
 from wheelleg_exp.rl.options import PARAMETERS, agent_options, batch_errors, parameter_errors
@@ -28,6 +29,8 @@ _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
     """Return the mistakes in the ``agent`` section; ``groups`` are the names of the observation groups."""
+    from wheelleg_exp.rl import mirror_rules
+
     if not isinstance(agent, Mapping):
         return []
     errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
@@ -36,7 +39,9 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
     errors += _check_groups(agent.get("obs_groups"), groups)
     errors += _check_extensions(agent)
-    errors += _check_images(agent.get("symmetry"))
+    for name, rule in section_at(agent, ("symmetry", "terms")).items():
+        if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
+            errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
     return errors or (batch_errors(agent, num_envs) if fits(num_envs, Count) else [])
@@ -74,7 +79,11 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         error.key = error.key or path
         return [error]
     if found is None:
-        nearest = nearest_name(str(name), [*_library_names(), _MIRROR])
+        from importlib import import_module
+
+        modules = [import_module(f"rsl_rl.{part}") for part in ("algorithms", "models", "modules", "runners")]
+        names = [known for module in modules for known in dir(module) if not known.startswith("_")]
+        nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
     # Check the module that defines the object, because an allowed module can import any function.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
@@ -120,18 +129,6 @@ def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
     return errors
 
 
-def _check_images(symmetry: Any) -> list[ConfigError]:
-    from wheelleg_exp.rl import mirror_rules
-
-    terms = symmetry.get("terms") if isinstance(symmetry, Mapping) else None
-    named = terms.items() if isinstance(terms, Mapping) else ()
-    return [
-        mirror_rules.unknown_rule_error(rule, str(name))
-        for name, rule in named
-        if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES
-    ]
-
-
 def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:
     accepted = class_slots(found, path.rsplit(".", 1)[-1])
     errors = []
@@ -168,10 +165,3 @@ def known_words(name: str, value: Any = "?") -> list[str] | None:
     except ValueError as error:
         return re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
     return None
-
-
-def _library_names() -> list[str]:
-    from importlib import import_module
-
-    modules = [import_module(f"rsl_rl.{part}") for part in ("algorithms", "models", "modules", "runners")]
-    return [name for module in modules for name in dir(module) if not name.startswith("_")]

@@ -73,9 +73,7 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
 def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find files without a package line, whose content is therefore at a wrong key."""
     # A config file needs no `# @package` line if a defaults list mounts the file with `group@package`.
-    misplaced = {
-        file.config_path for file in files if file.package in (file.group.replace("/", "."), package_header(file.file))
-    }
+    misplaced = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
     found = missing_headers(composed.loader.repository_used, ())
     return [error for error in found if error.key in misplaced]
 
@@ -203,19 +201,16 @@ def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list
         place, key = (file.package, file.config_path), f"{file.package}.{file.name}"
         again = _is_term_list(file.package) and place in seen
         if again and not any(_sets_null(other, key) for other in files[seen[place] : index]):
-            where = _last_choice(composed, file)
+            mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
+            choices = [choice for mount in mounts for choice in mount.choices]
+            where = mount_place(composed, file)
+            for choice in reversed(choices):
+                if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value]):
+                    where = choice.where
+                    break
             errors.append(ConfigError("the term is listed twice", key=key, where=where, expected="each term once"))
         seen[place] = index
     return errors
-
-
-def _last_choice(composed: Composed, file: MountedFile) -> str:
-    mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
-    choices = [choice for mount in mounts for choice in mount.choices]
-    for choice in reversed(choices):
-        if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value]):
-            return choice.where
-    return mount_place(composed, file)
 
 
 def _sets_null(file: MountedFile, key: str) -> bool:
@@ -261,26 +256,17 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
         present = [name for name in section_at(composed.config, package) if name in wanted]
         kept = [name for name in wanted if name in present]
         if present != kept:
-            errors.append(_order_error(composed, package, members, kept, present))
+            early = next(name for name, other in zip(present, kept, strict=True) if name != other)
+            member = next(file for file in members if file.name == early)
+            sources = composed.provenance.below(f"{package}.{early}")
+            first = sources[0].shadowed[0] if sources and sources[0].shadowed else sources[0]
+            setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
+            message = f"the order of the terms is not that of the list: it is {', '.join(present)}, because '{early}' "
+            message += "is set before it is listed"
+            expected = f"{', '.join(kept)}, the order of the list: put _self_ last, or set '{early}' after it is listed"
+            where = (setters[0] if setters else first).where
+            errors.append(ConfigError(message, key=package, where=where, expected=expected))
     return errors
-
-
-def _order_error(
-    composed: Composed, package: str, members: Sequence[MountedFile], wanted: list[str], present: list[str]
-) -> ConfigError:
-    early = next(name for name, other in zip(present, wanted, strict=True) if name != other)
-    member = next(file for file in members if file.name == early)
-    sources = composed.provenance.below(f"{package}.{early}")
-    first = sources[0].shadowed[0] if sources and sources[0].shadowed else sources[0]
-    setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
-    by = (setters[0] if setters else first).where
-    return ConfigError(
-        f"the order of the terms is not that of the list: it is {', '.join(present)}, because '{early}' is set before "
-        "it is listed",
-        key=package,
-        where=by,
-        expected=f"{', '.join(wanted)}, the order of the list: put _self_ last, or set '{early}' after it is listed",
-    )
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:

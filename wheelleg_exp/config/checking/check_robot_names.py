@@ -12,6 +12,7 @@ from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import import_target, term_nodes
 from wheelleg_exp.config.config_errors import not_one_of
+from wheelleg_exp.config.tree_lookup import at
 from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.paths import cache_dir, find_asset
 from wheelleg_exp.sim.names import match_names, order_errors, shared_errors, valueless_errors
@@ -92,7 +93,10 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
     order = robot.get("joint_order")
     errors = order_errors(order, names.joints) if isinstance(order, list) else []
     joints = list(order) if isinstance(order, list) and not errors else names.joints
-    errors += _initial_state(robot.get("init_state"), joints) + _actuators(robot.get("actuators"), joints)
+    for name in ("joint_pos", "joint_vel"):
+        values = at(robot, ("init_state", name))
+        errors += _mapping(values, joints, f"env.robot.init_state.{name}") if isinstance(values, Mapping) else []
+    errors += _actuators(robot.get("actuators"), joints)
     bodies: dict[str, list[str] | None] = {ROBOT: names.bodies, "terrain": []}
     for name, node in sensors.items() if isinstance(sensors, Mapping) else ():
         if node is None:
@@ -119,9 +123,7 @@ def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tu
         return [], []  # The check of types reports an expression that is not a string.
     errors = [error for expression in listed for error in _match_error([expression], names, key, what)]
     errors = errors or _match_error(listed, names, key, what)
-    if errors:
-        return [], errors
-    return match_names(listed, names, key=key, what=what)[1], []
+    return ([], errors) if errors else (match_names(listed, names, key=key, what=what)[1], [])
 
 
 def _match_error(expressions: list[str], names: Sequence[str], key: str, what: str) -> list[ConfigError]:
@@ -130,15 +132,6 @@ def _match_error(expressions: list[str], names: Sequence[str], key: str, what: s
     except ConfigError as error:
         return [error]
     return []
-
-
-def _initial_state(state: Any, joints: list[str]) -> list[ConfigError]:
-    errors = []
-    for name in ("joint_pos", "joint_vel"):
-        values = state.get(name) if isinstance(state, Mapping) else None
-        if isinstance(values, Mapping):
-            errors += _mapping(values, joints, f"env.robot.init_state.{name}")
-    return errors
 
 
 def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
@@ -205,6 +198,8 @@ def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[Co
 
 
 def _term(section: str, path: str, node: Mapping[str, Any], members: Members) -> list[ConfigError]:
+    from wheelleg_exp.managers import SceneEntityCfg
+
     errors = []
     for inner, part in walk_nodes(node, path):
         if inner != path and TARGET not in part:
@@ -212,7 +207,8 @@ def _term(section: str, path: str, node: Mapping[str, Any], members: Members) ->
         target = _target(part, inner)
         if target is None:
             continue
-        member = part.get("name") if _is_entity(target) else ROBOT
+        is_entity = inspect.isclass(target) and issubclass(target, SceneEntityCfg)
+        member = part.get("name") if is_entity else ROBOT
         errors += _names(section, inner, part, target, str(member), members)
     return errors
 
@@ -222,12 +218,6 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
         return None  # The check of terms reports an unknown target.
-
-
-def _is_entity(target: Callable[..., Any]) -> bool:
-    from wheelleg_exp.managers import SceneEntityCfg
-
-    return inspect.isclass(target) and issubclass(target, SceneEntityCfg)
 
 
 def _names(
@@ -253,14 +243,9 @@ def _names(
         if section == "actions" and kind == "joint":
             errors += _by_joint("actions", path, node, found)
         if "preserve_order" in accepted and not node.get("preserve_order", False) and found:
-            errors += _order(expressions, found, key, kind)
+            written = match_names(expressions, found, key=key, what=kind, preserve_order=True)[1]
+            if written != found:
+                message = f"the order of this list is ignored: the term sees {', '.join(found)}"
+                expected = f"preserve_order: true for {', '.join(written)}, or the robot's order in the list"
+                errors += [ConfigError(message, key=key, expected=expected)]
     return errors
-
-
-def _order(expressions: Any, found: list[str], key: str, what: str) -> list[ConfigError]:
-    written = match_names(expressions, found, key=key, what=what, preserve_order=True)[1]
-    if written == found:
-        return []
-    message = f"the order of this list is ignored: the term sees {', '.join(found)}"
-    expected = f"preserve_order: true for {', '.join(written)}, or the robot's order in the list"
-    return [ConfigError(message, key=key, expected=expected)]

@@ -19,15 +19,7 @@ from wheelleg_exp.config.key_slots import named_section
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.rendering.renderer import too_many
-from wheelleg_exp.terms.term_binding import (
-    RESERVED,
-    TARGET,
-    NotSelected,
-    TermNode,
-    resolve_target,
-    split_node,
-    walk_nodes,
-)
+from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
 # The base class of the terms of each section, and the first arguments that the managers pass to functions.
@@ -37,7 +29,7 @@ _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Yield the section, the path, and the node of every term in the tree."""
-    for section in RESERVED:
+    for section in binding.RESERVED:
         nodes = section_at(config, f"env.{section}")
         if section == "observations":
             for name, group in nodes.items():
@@ -53,22 +45,19 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
     errors = []
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
-            if isinstance(error, NotSelected):
-                error.nearest = _nearest_selected(config, path)
+            if isinstance(error, binding.NotSelected):
+                parent, _, name = path.rpartition(".")
+                terms = section_at(config, parent).items()
+                selected = [str(t) for t, other in terms if isinstance(other, Mapping) and binding.TARGET in other]
+                error.nearest = nearest_name(name, selected)
             errors.append(error)
     return errors
-
-
-def _nearest_selected(config: Mapping[str, Any], path: str) -> str | None:
-    parent, _, name = path.rpartition(".")
-    terms = section_at(config, parent).items()
-    return nearest_name(name, [str(term) for term, node in terms if isinstance(node, Mapping) and TARGET in node])
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
     """Return the mistakes in one term: its selection, its target, its manager's fields, and its parameters."""
     try:
-        term = split_node(section, path, node)
+        term = binding.split_node(section, path, node)
     except ConfigError as error:
         return [error]
     errors = field_errors(section, term)
@@ -81,7 +70,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
     return errors + (wrong or parameter_errors(section, term, target))
 
 
-def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
     if inspect.isclass(target):
         from wheelleg_exp import managers
 
@@ -107,7 +96,7 @@ def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> li
     return [ConfigError(message, key=term.path, expected=f"def {name}({listed}, ...)")]
 
 
-def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
+def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
     """Reject a stock term of another section, because this section would misinterpret its return value."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
@@ -116,20 +105,16 @@ def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
     home = next(key for key, value in MODULES.items() if value == section)
     names = [n for n in vars(import_module(f"{LIBRARY}.{home}")) if not n.startswith("_")]
     nearest = nearest_name(name, names)
-    return [
-        ConfigError(
-            f"'{term.target}' is a term of {belongs}",
-            key=f"{term.path}.{TARGET}",
-            expected=f"a term of {LIBRARY}.{home}, or of a package of yours",
-            nearest=f"{LIBRARY}.{home}.{nearest}" if nearest else None,
-        )
-    ]
+    message = f"'{term.target}' is a term of {belongs}"
+    expected = f"a term of {LIBRARY}.{home}, or of a package of yours"
+    nearest = f"{LIBRARY}.{home}.{nearest}" if nearest else None
+    return [ConfigError(message, key=f"{term.path}.{binding.TARGET}", expected=expected, nearest=nearest)]
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
     """Import an allowed target. For a misspelled module, the error names the most similar module."""
     try:
-        return resolve_target(target, path)
+        return binding.resolve_target(target, path)
     except ConfigError as error:
         if error.nearest is None and isinstance(error.__cause__, ModuleNotFoundError):
             nearest = _nearest_target(target)
@@ -157,11 +142,11 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
     """Return the mistakes in every ``_target_`` node that is not a term, such as a sensor, actuator, or noise."""
     terms = {path for _, path, _ in term_nodes(config)}
     errors: list[ConfigError] = []
-    for path, node in walk_nodes(config):
-        if TARGET not in node or path in terms:
+    for path, node in binding.walk_nodes(config):
+        if binding.TARGET not in node or path in terms:
             continue
         try:
-            errors += nested_errors(path, node, import_target(str(node[TARGET]), path))
+            errors += nested_errors(path, node, import_target(str(node[binding.TARGET]), path))
         except ConfigError as error:
             errors.append(error)
     return errors
@@ -175,20 +160,15 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
             continue
         for name, value in node.items():
             kind = named_section(section, name)
-            if kind is not None and isinstance(value, str):
-                errors += _unknown_term(config, kind, f"{path}.{name}", value)
+            known = [str(term) for term in section_at(config, f"env.{kind}")]
+            if kind is None or not isinstance(value, str) or value in known:
+                continue
+            message, key = f"there is no {kind.removesuffix('s')} '{value}'", f"{path}.{name}"
+            expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
+            error = UnknownName(message, key=key, expected=expected, nearest=nearest_name(value, known))
+            error.named = f"env.{kind}.{value}"
+            errors.append(error)
     return errors
-
-
-def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> list[ConfigError]:
-    known = [str(term) for term in section_at(config, f"env.{kind}")]
-    if name in known:
-        return []
-    what = kind.removesuffix("s")
-    expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
-    error = UnknownName(f"there is no {what} '{name}'", key=key, expected=expected, nearest=nearest_name(name, known))
-    error.named = f"env.{kind}.{name}"
-    return [error]
 
 
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:

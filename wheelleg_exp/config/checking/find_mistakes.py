@@ -19,31 +19,10 @@ from hydra.plugins.config_source import ConfigResult
 from omegaconf import OmegaConf
 
 from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking import check_defaults_lists as lists
+from wheelleg_exp.config.checking import check_terms
 from wheelleg_exp.config.checking.check_agent import check_agent
-from wheelleg_exp.config.checking.check_defaults_lists import (
-    blame_mounts,
-    check_group_lists,
-    check_headers,
-    check_listed_twice,
-    check_order,
-    check_overwritten,
-    check_targets_of_files,
-    check_term_files,
-    emptied_by,
-    mounted_files,
-    unread_in_files,
-    without_strays,
-)
 from wheelleg_exp.config.checking.check_robot_names import check_robot, read_names
-from wheelleg_exp.config.checking.check_terms import (
-    check_drawn,
-    check_folders,
-    check_groups_in_use,
-    check_links,
-    check_nested_targets,
-    check_sections,
-    recorded_errors,
-)
 from wheelleg_exp.config.composing.compose import Composed, compose, override_texts
 from wheelleg_exp.config.composing.config_loader import Loader, Repository, package_header, package_meant, usual_header
 from wheelleg_exp.config.composing.hydra_errors import DoesNotMerge, NowhereMounted
@@ -122,25 +101,33 @@ def check(composed: Composed) -> list[ConfigError]:
     observation groups of the agent, names of joints and bodies, and the config files. Each error contains the file and
     line, or the override, of the value.
     """
-    files = mounted_files(composed)
-    misplaced = check_headers(composed, files)
+    files = lists.mounted_files(composed)
+    misplaced = lists.check_headers(composed, files)
     if misplaced:
         # All keys of a wrongly mounted file are at a wrong place, so further mistakes only follow from the mount.
         return misplaced
-    config = without_strays(composed.config, files)
-    errors = check_term_files(files) + check_targets_of_files(config, files) + check_group_lists(composed, files)
+    config = lists.without_strays(composed.config, files)
+    errors = (
+        lists.check_term_files(files)
+        + lists.check_targets_of_files(config, files)
+        + lists.check_group_lists(composed, files)
+    )
     hidden = {str(error.key) for error in errors}
-    found = check_tree(config, schema.Root) + (check_order(composed, files) or check_overwritten(composed))
-    found += check_listed_twice(files, composed)
-    found += unread_in_files(files, composed.primary)
-    found += check_groups_in_use(config) + check_folders(config) + _check_robot(config, composed.asset_roots)
+    found = check_tree(config, schema.Root) + (lists.check_order(composed, files) or lists.check_overwritten(composed))
+    found += lists.check_listed_twice(files, composed)
+    found += lists.unread_in_files(files, composed.primary)
+    found += (
+        check_terms.check_groups_in_use(config)
+        + check_terms.check_folders(config)
+        + _check_robot(config, composed.asset_roots)
+    )
     errors += [error for error in found if not follows_from(error, hidden)]
     # Add the file and line, or the override, to each error, and remove repeated errors.
-    errors = blame_mounts(_first_causes(errors), composed, files)
+    errors = lists.blame_mounts(_first_causes(errors), composed, files)
     seen: dict[tuple[str | None, ...], ConfigError] = {}
     for error in errors:
         if error.where is None and error.key is not None:
-            emptied = emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
+            emptied = lists.emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
             error.where = emptied or composed.provenance.where(error.key)
         # If a whole section is missing, no line sets the key. Name the file of the task instead.
         if error.where is None and isinstance(error, MissingValue):
@@ -177,16 +164,13 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
         return True
     if isinstance(error, AbsentKey) and "" in lost:
         return True
-    return is_at_or_below(key, lost) or (
-        isinstance(error, MissingValue) and any(name.startswith(f"{key}.") for name in lost)
-    )
+    above = isinstance(error, MissingValue) and any(name.startswith(f"{key}.") for name in lost)
+    return above or is_at_or_below(key, lost)
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
     """Return whether a key equals or is below one of ``places``. A place with a leading dot matches at any depth."""
-    return any(
-        f"{place}." in f".{key}." if place.startswith(".") else f"{key}.".startswith(f"{place}.") for place in places
-    )
+    return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
 def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list[ConfigError]:
@@ -219,11 +203,18 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
         if options is not None and isinstance(node, Mapping) and schema.is_open(root, path):
             errors += section_errors(path, node, options)
     errors += _check_observation_groups(config)
-    errors += check_sections(config)
-    errors += check_nested_targets(config)
-    errors += check_links(config) + _check_silences(config)
+    errors += check_terms.check_sections(config)
+    errors += check_terms.check_nested_targets(config)
+    errors += check_terms.check_links(config)
+    for name, reason in section_at(config, "check.silence").items():
+        key = f"check.silence.{name}"
+        if name not in schema.PHYSICS_RULES:
+            expected, nearest = "a rule of `wheelleg check --list`", nearest_name(str(name), schema.PHYSICS_RULES)
+            errors.append(ConfigError("there is no such rule", key=key, expected=expected, nearest=nearest))
+        elif isinstance(reason, str) and not reason.strip():
+            errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
-    errors += recorded_errors(at(config, "recording.env_ids"), num_envs) + check_drawn(config)
+    errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs) + check_terms.check_drawn(config)
     return errors + check_agent(config.get("agent"), groups, num_envs)
 
 
@@ -232,18 +223,6 @@ def require_valid(composed: Composed) -> None:
     errors = check(composed)
     if errors:
         raise_all(errors)
-
-
-def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:
-    errors = []
-    for name, reason in section_at(config, "check.silence").items():
-        key = f"check.silence.{name}"
-        if name not in schema.PHYSICS_RULES:
-            expected, nearest = "a rule of `wheelleg check --list`", nearest_name(str(name), schema.PHYSICS_RULES)
-            errors.append(ConfigError("there is no such rule", key=key, expected=expected, nearest=nearest))
-        elif isinstance(reason, str) and not reason.strip():
-            errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
-    return errors
 
 
 def _check_observation_groups(config: Mapping[str, Any]) -> list[ConfigError]:

@@ -64,10 +64,8 @@ def _unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
         found = _KEY.match(text)
         key, where = found[1] if found else "", f"override {text}"
         if _name(key) in _OF_SWEEPS:
-            message, expected = (
-                "this is a setting of a sweep, and this is one run",
-                "-m (--multirun) in addition, or neither",
-            )
+            message = "this is a setting of a sweep, and this is one run"
+            expected = "-m (--multirun) in addition, or neither"
             errors.append(ConfigError(message, key=key, where=where, expected=expected))
         elif is_unread(text):
             errors.append(unread_setting(key, where))
@@ -251,7 +249,18 @@ def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
-        _apply(changed, _parse(text), text)
+        override = _parse(text)
+        keys = split_path(override.key_or_group)
+        if keys[0] == "hydra":
+            raise unread_setting(dotted(keys), f"override {text}", "a key of the run's parameters")
+        parent = _parent(changed, keys, text)
+        adds = override.is_add() or override.is_force_add()
+        if keys[-1] not in parent and not adds:
+            raise _unknown(changed, keys, text)
+        if override.is_delete():
+            del parent[keys[-1]]
+        else:
+            parent[keys[-1]] = override.value()
     if overrides:  # If there are no overrides, return the recorded tree unchanged.
         drop_removed(changed)
     return changed
@@ -316,20 +325,6 @@ def _parse(text: str) -> Override:
     if override.is_sweep_override():
         raise ConfigError("a sweep is not possible here", key=text, where=f"override {text}", expected="one value")
     return override
-
-
-def _apply(tree: dict[str, Any], override: Override, text: str) -> None:
-    keys = split_path(override.key_or_group)
-    if keys[0] == "hydra":
-        raise unread_setting(dotted(keys), f"override {text}", "a key of the run's parameters")
-    parent = _parent(tree, keys, text)
-    adds = override.is_add() or override.is_force_add()
-    if keys[-1] not in parent and not adds:
-        raise _unknown(tree, keys, text)
-    if override.is_delete():
-        del parent[keys[-1]]
-    else:
-        parent[keys[-1]] = override.value()
 
 
 def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, Any]:

@@ -16,18 +16,10 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
+from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, Repository, missing_headers
 from wheelleg_exp.config.config_errors import AbsentKey, join, not_one_of
 from wheelleg_exp.config.explaining.key_documentation import KEYS
-from wheelleg_exp.config.tree_lookup import (
-    DefaultsEntry,
-    at,
-    defaults_entries,
-    defaults_items,
-    node_paths,
-    scalar_line,
-    section_at,
-)
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
@@ -115,12 +107,12 @@ def _defaults_line(file: Path, path: str) -> int | None:
             mounted = key is None or key.split("@")[0].split(" ")[-1].lstrip("/").endswith(group.rsplit("/", 1)[-1])
             if mounted and str(scalar.value).lstrip("/") in (name, path):
                 return scalar.start_mark.line + 1
-    return scalar_line(file, name, path, f"/{path}")
+    return lookup.scalar_line(file, name, path, f"/{path}")
 
 
 def _defaults_entries(file: Path) -> Iterator[tuple[str | None, yaml.Node]]:
     """Yield the key and the value of each entry of a file's defaults list; the key of a plain entry is None."""
-    for item in defaults_items(file):
+    for item in lookup.defaults_items(file):
         if isinstance(item, yaml.MappingNode):
             yield from ((str(key.value), value) for key, value in item.value)
         else:
@@ -137,9 +129,13 @@ def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overr
     doubled = re.match(r"Multiple values for (\S+)\. |(\S+) appears more than once", text)
     if doubled:
         return _chosen_twice(doubled.group(1) or doubled.group(2), loader.repository_used, parsed)
-    early = _early_override(loader.repository_used) if isinstance(problem, AssertionError) else None
-    if early is not None:
-        return early
+    for loaded in loader.repository_used.loaded.values() if isinstance(problem, AssertionError) else ():
+        for entry, following in itertools.pairwise(lookup.defaults_entries(loaded.file)):
+            if entry.override and not following.override:
+                message = "this override comes before other entries of its defaults list"
+                expected = "overrides after all other entries, before _self_ at the end"
+                place = show_file(loaded.file, entry.line)
+                return ConfigError(message, key=entry.key.lstrip("/"), where=place, expected=expected)
     quoted = re.search(r"Could not (?:override|delete) '([^']+)'", text)
     key = quoted.group(1).split("=")[0] if quoted else None
     mounted = _mounted_names(loader.repository_used)
@@ -177,28 +173,15 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     return ConfigError(message, key=key, where=where, expected=f"- override /{key}: {option}, after the other entries")
 
 
-def _entries(repository: Repository) -> Iterator[tuple[Path, DefaultsEntry]]:
+def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntry]]:
     """Yield the file and the entry for each entry of the defaults lists, without the primary config."""
     for path, loaded in repository.loaded.items():
         if "/" in path:
-            yield from ((loaded.file, entry) for entry in defaults_entries(loaded.file))
-
-
-def _early_override(repository: Repository) -> ConfigError | None:
-    message = "this override comes before other entries of its defaults list"
-    expected = "overrides after all other entries, before _self_ at the end"
-    for loaded in repository.loaded.values():
-        for entry, following in itertools.pairwise(defaults_entries(loaded.file)):
-            if entry.override and not following.override:
-                where = show_file(loaded.file, entry.line)
-                return ConfigError(message, key=entry.key.lstrip("/"), where=where, expected=expected)
-    return None
+            yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))
 
 
 def _mounted_names(repository: Repository) -> list[str]:
-    keys = [
-        key for loaded in repository.loaded.values() for key, _ in _defaults_entries(loaded.file) if key is not None
-    ]
+    keys = [k for loaded in repository.loaded.values() for k, _ in _defaults_entries(loaded.file) if k is not None]
     return list(dict.fromkeys(key.split(" ")[-1].lstrip("/") for key in keys if not key.startswith("override ")))
 
 
@@ -253,7 +236,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
     below: dict[str, set[str]] = {}
     for path, loaded in used.loaded.items():
         folder = path.rpartition("/")[0]
-        names = [str(item.value) for item in defaults_items(loaded.file) if isinstance(item, yaml.ScalarNode)]
+        names = [str(item.value) for item in lookup.defaults_items(loaded.file) if isinstance(item, yaml.ScalarNode)]
         below[path] = {f"{folder}/{name}".lstrip("/") for name in names if name != "_self_"}
     message, expected = "the defaults lists form a cycle", "defaults lists without a cycle"
     try:
@@ -262,7 +245,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
         # In the cycle that graphlib returns, each file names the previous file.
         path, other = error.args[1][1], error.args[1][0]
         file = used.loaded[path].file
-        where = show_file(file, scalar_line(file, other.rpartition("/")[2]))
+        where = show_file(file, lookup.scalar_line(file, other.rpartition("/")[2]))
         message += f": {' -> '.join(reversed(error.args[1]))}"
         return ConfigError(message, key=path, where=where, expected=expected)
     return ConfigError(message, key=primary, expected=expected)
@@ -321,7 +304,15 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     try:
         cfg = loader._compose_config_from_defaults_list(defaults.defaults, loader.repository_used)
     except COMPOSING_ERRORS as problem:
-        return _merge_problem(problem, loader.repository_used)
+        text = str(problem)
+        match, full = _IN_FILE.match(text), re.search(r"full_key: (\S+)", text)
+        key = full.group(1) if full else None
+        loaded = loader.repository_used.loaded.get(match.group(1)) if match else None
+        line = lookup.scalar_line(loaded.file, key.rsplit(".", 1)[-1]) if loaded and key else None
+        message = f"does not merge: {flat(ValueError(text.split('composing config:', 1)[-1]))}"
+        merge_error = DoesNotMerge(message, key=key, where=show_file(loaded.file, line) if loaded else None)
+        merge_error.config_path = match.group(1) if match else None
+        return merge_error
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
@@ -334,60 +325,38 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     return join(problems) if problems else ConfigError(flat(error), key=primary)
 
 
-def _merge_problem(problem: Exception, repository: Repository) -> ConfigError:
-    text = str(problem)
-    match = _IN_FILE.match(text)
-    loaded = repository.loaded.get(match.group(1)) if match else None
-    body = text.split("composing config:", 1)[-1]
-    key = re.search(r"full_key: (\S+)", text)
-    line = scalar_line(loaded.file, key.group(1).rsplit(".", 1)[-1]) if loaded and key else None
-    error = DoesNotMerge(
-        f"does not merge: {flat(ValueError(body))}",
-        key=key.group(1) if key else None,
-        where=show_file(loaded.file, line) if loaded else None,
-    )
-    error.config_path = match.group(1) if match else None
-    return error
-
-
 def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
     key, where = override.key_or_group, where_of(override)
     # List Hydra's own keys only for an override of one of Hydra's own keys.
     plain = OmegaConf.to_container(cfg, resolve=False)
     tree = plain if isinstance(plain, dict) else {}
     shown = {str(name): node for name, node in tree.items() if (name == "hydra") == override.is_hydra_override()}
-    existing = split_path(key) in set(node_paths(shown))
+    existing = split_path(key) in set(lookup.node_paths(shown))
     if existing and override.is_add():
         expected = str(override.input_line).lstrip("+") + " without the plus sign"
         return ConfigError("the key has a value already", key=key, where=where, expected=expected)
-    if existing and override.is_delete() and at(shown, split_path(key)) is None:
+    if existing and override.is_delete() and lookup.at(shown, split_path(key)) is None:
         expected = f"nothing to remove: 'wheelleg explain task=... {key}' shows where it is set to null"
         return ConfigError("the key is null already", key=key, where=where, expected=expected)
     if existing and override.is_delete():
         return ConfigError(flat(problem), key=key, where=where, expected=f"~{key} without a value")
     strange = re.search(r"Key '(.+?)' is not in struct", str(problem.__cause__ or problem))
     if existing and strange:
-        return _unknown_part(shown, override, strange.group(1))
+        part, names = strange.group(1), [str(known) for known in lookup.section_at(shown, key)]
+        full = dotted([*split_path(key), part])
+        known = f"one of {', '.join(names)}; " if names else ""
+        expected, nearest = f"{known}+{full}=value adds one, ++{key}={{...}} merges", nearest_name(part, names)
+        return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
     # KEYS also contains optional keys, which no file has to set.
-    if key in KEYS and not override.is_delete() and at(shown, split_path(key)[:-1]) is not None:
+    if key in KEYS and not override.is_delete() and lookup.at(shown, split_path(key)[:-1]) is not None:
         expected = "+" + str(override.input_line).lstrip("+")
         return AbsentKey("no file of the task sets this key", key=key, where=where, expected=expected)
     top = None if split_path(key)[0] in shown else nearest_name(key, [*shown, *groups])
-    nearest = top or nearest_path(key, [dotted(path) for path in node_paths(shown)])
+    nearest = top or nearest_path(key, [dotted(path) for path in lookup.node_paths(shown)])
     expected = _expected_at(shown, key, groups)
     return AbsentKey("there is no such key", key=key, where=where, expected=expected, nearest=nearest)
-
-
-def _unknown_part(tree: dict[str, object], override: Override, name: str) -> ConfigError:
-    key = override.key_or_group
-    names = [str(known) for known in section_at(tree, key)]
-    full = dotted([*split_path(key), name])
-    known = f"one of {', '.join(names)}; " if names else ""
-    expected = f"{known}+{full}=value adds one, ++{key}={{...}} merges"
-    where, nearest = where_of(override), nearest_name(name, names)
-    return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
 
 
 def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> str:

@@ -124,16 +124,13 @@ class _Replay:
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
             # Move the remaining leaves of the section together, as they are in the composed mapping.
-            self._gather(parent)
+            # Move all leaves of a section next to its first leaf, without a change of their order.
+            inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
+            before: dict[Keys, Source] = {}
+            for leaf, old in self.sources.items():
+                before |= inside if leaf in inside and leaf not in before else {leaf: old}
+            self.sources = before
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
-
-    def _gather(self, parent: Keys) -> None:
-        """Move all leaves of a section next to its first leaf, without a change of their order."""
-        inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
-        before: dict[Keys, Source] = {}
-        for leaf, old in self.sources.items():
-            before |= inside if leaf in inside and leaf not in before else {leaf: old}
-        self.sources = before
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
         """Put a leaf at the place of the first leaf that it replaces, because the order of terms has an effect."""
@@ -164,7 +161,15 @@ def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenanc
             if default.config_path in loaded:
                 _write_file(replay, loaded[default.config_path], default.package or "")
         for override in defaults.config_overrides:
-            _write_override(replay, override)
+            text = str(override.input_line)
+            keys = tuple(split_key(override.key_or_group))
+            if override.is_delete():
+                replay.delete(keys, text)
+            else:
+                keys, value = _into_list(replay, keys, override.value())
+                for rest, leaf in leaves(value):
+                    path = (*keys, *rest)
+                    replay.write(path, Source(dotted(path), leaf, override=text))
     sources = {keys: source for keys, source in replay.sources.items() if keys[0] != "hydra"}
     return Provenance(sources, replay.deleted)
 
@@ -178,18 +183,6 @@ def _write_file(replay: _Replay, loaded: LoadedFile, package: str) -> None:
         line = next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), None)
         path = (*prefix, *keys)
         replay.write(path, Source(dotted(path), value, file=loaded.file, line=line, package=prefix))
-
-
-def _write_override(replay: _Replay, override: Override) -> None:
-    text = str(override.input_line)
-    keys = tuple(split_key(override.key_or_group))
-    if override.is_delete():
-        replay.delete(keys, text)
-        return
-    keys, value = _into_list(replay, keys, override.value())
-    for rest, leaf in leaves(value):
-        path = (*keys, *rest)
-        replay.write(path, Source(dotted(path), leaf, override=text))
 
 
 def _into_list(replay: _Replay, keys: Keys, value: Any) -> tuple[Keys, Any]:

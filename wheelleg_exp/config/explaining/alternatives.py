@@ -52,9 +52,8 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
     """Return the values that the key at ``keys`` accepts."""
     node = at(tree, keys)
     below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
-    absent = tuple(
-        (n, _plain(s.default)) for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED
-    )
+    unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
+    absent = tuple((name, _plain(s.default)) for name, s in unset.items())
     if slot is None:
         return Alternatives(keys=absent)
     return Alternatives(
@@ -148,10 +147,24 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
     even the primary config composes.
     """
-    file = cache_dir() / "completion" / f"{_digest(before, config_dirs, primary)}.json"
+    from wheelleg_exp.config.composing.compose import compose
+
+    folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
+    stats = {str(path): path.stat() for folder in folders for path in sorted(folder.rglob("*.yaml"))}
+    files = [(path, stat.st_mtime_ns, stat.st_size) for path, stat in stats.items()]
+    parts = [wheelleg_exp.__version__, list(before), [str(f) for f in folders], primary, files]
+    file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    made = _make(before, config_dirs, primary)
+    made = None
+    for words in (list(before), [word for word in before if word.startswith("task=")], []):
+        try:
+            composed = compose(words, primary=primary, config_dirs=config_dirs)
+        except WheellegError:
+            continue
+        groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
+        made = CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
+        break
     if made is not None:
         with contextlib.suppress(OSError, TypeError):
             text = json.dumps(asdict(made))
@@ -163,28 +176,6 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
             for old in stored[:-_MOST_VIEWS]:
                 old.unlink(missing_ok=True)
     return made
-
-
-def _digest(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> str:
-    folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
-    files = [
-        (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
-    ]
-    parts = [wheelleg_exp.__version__, list(before), [str(f) for f in folders], primary, files]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
-
-
-def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
-    from wheelleg_exp.config.composing.compose import compose
-
-    for words in (list(before), [word for word in before if word.startswith("task=")], []):
-        try:
-            composed = compose(words, primary=primary, config_dirs=config_dirs)
-        except WheellegError:
-            continue
-        groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
-        return CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
-    return None
 
 
 def complete_override(
@@ -200,7 +191,15 @@ def complete_override(
         name, _, value = text.partition("=")
         options = seen.groups.get(name.partition("@")[0])
         if options is not None:
-            found = _selections(options, value, several=seen.mounts.get(name, False))
+            if not value.startswith("["):
+                found = [option for option in options if option.startswith(value)]
+                found = [*found, "["] if seen.mounts.get(name, False) and not value else found
+            else:
+                head, _, last = value.replace("[", "[,", 1).rpartition(",")
+                head = head.replace("[,", "[", 1)
+                used = head.lstrip("[").split(",")
+                lead = "[" if head == "[" else f"{head},"
+                found = [f"{lead}{option}" for option in options if option.startswith(last) and option not in used]
         else:
             found = [leaf for leaf in _leaf_values(seen.tree, split_path(name)) if leaf.startswith(value)]
         return [f"{sign}{name}={text}" for text in found]
@@ -235,17 +234,6 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
     return [path for path in found if path.startswith(text)]
 
 
-def _selections(options: Sequence[str], value: str, *, several: bool) -> list[str]:
-    if not value.startswith("["):
-        found = [option for option in options if option.startswith(value)]
-        return [*found, "["] if several and not value else found
-    head, _, last = value.replace("[", "[,", 1).rpartition(",")
-    head = head.replace("[,", "[", 1)
-    used = head.lstrip("[").split(",")
-    lead = "[" if head == "[" else f"{head},"
-    return [f"{lead}{option}" for option in options if option.startswith(last) and option not in used]
-
-
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
     """Return the valid values of a leaf that are known without an import of a term."""
     now = at(tree, path)
@@ -254,9 +242,8 @@ def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
     listed = literal_values(slot.annotation) if slot is not None else literal_values(type(now))
     if key_slots.section_of(path) is not None:
         return ["null"]
-    return list(
-        dict.fromkeys([*map(_value_text, listed), *([_value_text(now)] if not isinstance(now, Mapping) else [])])
-    )
+    present = [] if isinstance(now, Mapping) else [now]
+    return list(dict.fromkeys(map(_value_text, [*listed, *present])))
 
 
 def _value_text(value: Any) -> str:

@@ -53,9 +53,7 @@ class LibraryTerm:
 
 def library() -> list[LibraryTerm]:
     """Return the public stock terms, section by section."""
-    return [
-        term for module, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{module}"))
-    ]
+    return [term for name, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{name}"))]
 
 
 def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
@@ -164,23 +162,20 @@ def _require_group(group: str, names: Sequence[str]) -> None:
 
 
 def _entry(loader: Loader, group: str, name: str) -> Entry:
-    file = _file(loader, f"{group}/{name}")
+    config_path = f"{group}/{name}"
+    sources = [source for source in loader.get_sources() if source.scheme() == "file"]
+    found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
+    try:
+        file = chosen_file(config_path, found)
+    except ConfigError:  # The error is raised when the file is composed.
+        file = found[0]
+    except IndexError:
+        file = Path(f"{config_path}.yaml")
     try:
         text = file_text(file)
     except (OSError, UnicodeDecodeError):  # The error is raised when the file is composed.
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
-
-
-def _file(loader: Loader, config_path: str) -> Path:
-    sources = [source for source in loader.get_sources() if source.scheme() == "file"]
-    found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
-    try:
-        return chosen_file(config_path, found)
-    except ConfigError:  # The error is raised when the file is composed.
-        return found[0]
-    except IndexError:
-        return Path(f"{config_path}.yaml")
 
 
 def _target(text: str, name: str) -> str | None:

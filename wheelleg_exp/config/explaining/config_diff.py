@@ -141,8 +141,10 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
             yield _change("changed", a, b, keys, one, other)
         return
     section = key_slots.section_of((*keys, "any"))  # The value is None if the children of the node are not terms.
-    if section is not None:
-        yield from _order(a, b, keys, section)
+    before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
+    if before != after and section in ORDER:
+        path = dotted(keys)
+        yield PlacedChange("reordered", path, True, before, after, a.where(path), b.where(path), ORDER[section])
     for name in dict.fromkeys([*map(str, one), *map(str, other)]):
         inner = (*keys, name)
         if name in one and name in other:
@@ -154,18 +156,8 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
 
 
 def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
-    path = dotted(keys)
-    return PlacedChange(
-        kind, path, key_slots.section_of(keys) is not None, one, other, a.where(path), b.where(path), note
-    )
-
-
-def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]:
-    one, other = at(a.tree, keys), at(b.tree, keys)
-    before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
-    if before != after and section in ORDER:
-        path = dotted(keys)
-        yield PlacedChange("reordered", path, True, before, after, a.where(path), b.where(path), ORDER[section])
+    path, is_term = dotted(keys), key_slots.section_of(keys) is not None
+    return PlacedChange(kind, path, is_term, one, other, a.where(path), b.where(path), note)
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:

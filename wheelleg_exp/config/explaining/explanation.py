@@ -104,22 +104,17 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
     while waiting:
         here, text = waiting.pop(0)
         for match in _REFERENCE.finditer(str(text)):
-            found = _absolute(match.group(1).strip(), here)
+            name = match.group(1).strip()
+            dots = len(name) - len(name.lstrip("."))  # ``.x`` names a sibling of the value.
+            found = (*here[: len(here) - dots], *split_path(name[dots:])) if dots else split_path(name)
             if found in seen:
                 continue
             seen.add(found)
             inner = at(tree, found)
             waiting.append((found, inner))
             written = inner if "${" in str(inner) else None
-            yield Reference(
-                dotted(found), at(composed.config, found), written, composed.provenance.where(dotted(found))
-            )
-
-
-def _absolute(text: str, keys: Keys) -> Keys:
-    """Return the absolute keys of a reference in the value at ``keys``; ``.x`` names a sibling of the value."""
-    dots = len(text) - len(text.lstrip("."))
-    return split_path(text) if dots == 0 else (*keys[: len(keys) - dots], *split_path(text[dots:]))
+            path = dotted(found)
+            yield Reference(path, at(composed.config, found), written, composed.provenance.where(path))
 
 
 Kind = Literal["value", "term", "section", "group", "not set", "not selected", "removed"]
@@ -165,7 +160,16 @@ def explain_key(composed: Composed, key: str) -> Explanation:
         or _not_set(tree, keys)
     )
     if not explained:
-        raise _unknown(tree, key, found)
+        depth = next((n for n in range(len(keys), 0, -1) if _is_there(tree, keys[:n])), 0)
+        settable = list(key_slots.slots(tree, keys[:depth]))
+        node = at(tree, keys[:depth])
+        shown = ", ".join(dict.fromkeys([*map(str, node if isinstance(node, Mapping) else ()), *settable]))
+        place = f" in {dotted(keys[:depth])}" if depth else ""
+        names = [*map(dotted, node_paths(tree)), *(dotted((*keys[:depth], name)) for name in settable)]
+        expected = f"one of {shown}{place}" if shown else "a key or a group"
+        nearest = nearest_path(key, [*names, *(mount.name for mount in found)])
+        message = "there is no such key, and nothing reads one of that name"
+        raise ConfigError(message, key=key, expected=expected, nearest=nearest)
     return explained
 
 
@@ -215,9 +219,8 @@ def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanatio
     if term is not None and dotted(term) in composed.removed_terms:
         source = composed.provenance[dotted(term)]
         inside = [s for s in source.shadowed if split_path(s.path)[: len(keys)] == keys]
-        return Explanation(
-            path, "removed", sources=(*inside, source), meanings=meanings(tree, keys, None, source.shadowed)
-        )
+        notes = meanings(tree, keys, None, source.shadowed)
+        return Explanation(path, "removed", sources=(*inside, source), meanings=notes)
     deleted = {p: s for p, s in composed.provenance.deleted.items() if split_path(p)[: len(keys)] == keys}
     if deleted and not _is_there(tree, keys):
         first = next(iter(deleted.values()))
@@ -244,8 +247,11 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
-    has_place = isinstance(at(tree, keys[:-1]), Mapping) or bool(key_slots.slots(tree, keys[:-1]))
-    if slot is None or not has_place or key_slots.section_of(keys) is not None or _is_misspelled(tree, keys):
+    named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
+    # In a mapping that accepts any name, a key that is similar to an existing key is treated as misspelled.
+    near = nearest_name(keys[-1], map(str, parent)) if isinstance(parent, Mapping) and not named else None
+    has_place = bool(named) or (isinstance(parent, Mapping) and near is None)
+    if slot is None or not has_place or key_slots.section_of(keys) is not None:
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
         return None  # The parent section accepts any key, but no config file sets the requested key.
@@ -262,13 +268,6 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     )
 
 
-def _is_misspelled(tree: dict[str, Any], keys: Keys) -> bool:
-    """Return whether a key is similar to an existing key of a mapping that accepts any name."""
-    node = at(tree, keys[:-1])
-    named = key_slots.slots(tree, keys[:-1])
-    return not named and isinstance(node, Mapping) and nearest_name(keys[-1], map(str, node)) is not None
-
-
 def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
     """Return the sources of a leaf, oldest first. A list element has the sources of its list."""
     for length in range(len(keys), 0, -1):
@@ -276,17 +275,3 @@ def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
         if source is not None:
             return (*source.shadowed, source)
     return ()
-
-
-def _unknown(tree: dict[str, Any], key: str, found: Sequence[Mount]) -> ConfigError:
-    keys = split_path(key)
-    depth = next((n for n in range(len(keys), 0, -1) if _is_there(tree, keys[:n])), 0)
-    settable = list(key_slots.slots(tree, keys[:depth]))
-    node = at(tree, keys[:depth])
-    shown = ", ".join(dict.fromkeys([*map(str, node if isinstance(node, Mapping) else ()), *settable]))
-    place = f" in {dotted(keys[:depth])}" if depth else ""
-    names = [*map(dotted, node_paths(tree)), *(dotted((*keys[:depth], name)) for name in settable)]
-    expected = f"one of {shown}{place}" if shown else "a key or a group"
-    nearest = nearest_path(key, [*names, *(mount.name for mount in found)])
-    message = "there is no such key, and nothing reads one of that name"
-    return ConfigError(message, key=key, expected=expected, nearest=nearest)

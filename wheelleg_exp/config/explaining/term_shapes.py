@@ -64,7 +64,14 @@ def shapes(composed: Composed) -> Shapes:
 def shapes_of(env: ManagerBasedRLEnv) -> Shapes:
     """Return the layout of an environment's observations and actions."""
     groups = {group: _group(env, group) for group in env.observation_manager.active_terms}
-    return Shapes(tuple(env.scene.robot.joint_names), groups, _actions(env))
+    manager = env.action_manager
+    made, start = [], 0
+    for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
+        target = manager.get_term_cfg(name).target
+        joints = tuple(getattr(manager.get_term(name), "joint_names", ()))
+        made.append(TermShape(name, target, width, 0, (width,), start, start + width, joints))
+        start += width
+    return Shapes(tuple(env.scene.robot.joint_names), groups, GroupShape(tuple(made), (manager.total_action_dim,)))
 
 
 def _group(env: ManagerBasedRLEnv, group: str) -> GroupShape:
@@ -78,14 +85,3 @@ def _group(env: ManagerBasedRLEnv, group: str) -> GroupShape:
 def _observation(name: str, term: ObservationTerm, places: Sequence[slice]) -> TermShape:
     start, stop = (places[0].start, places[0].stop) if len(places) == 1 else (None, None)
     return TermShape(name, term.term.target, term.width, term.history_length, tuple(term.shape), start, stop)
-
-
-def _actions(env: ManagerBasedRLEnv) -> GroupShape:
-    manager = env.action_manager
-    made, start = [], 0
-    for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
-        target = manager.get_term_cfg(name).target
-        joints = tuple(getattr(manager.get_term(name), "joint_names", ()))
-        made.append(TermShape(name, target, width, 0, (width,), start, start + width, joints))
-        start += width
-    return GroupShape(tuple(made), (manager.total_action_dim,))
