@@ -300,7 +300,12 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
     """Return an ``env.robot`` section without actuators; default positions, rad (m), are by joint."""
     joint_pos = {name_expression(joint): value for joint, value in positions.items()}
     state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
-    settings = {"joint_order": None, "soft_joint_pos_limit_factor": 1.0, "friction_source": "static", "actuators": {}}
+    settings: dict[str, Any] = {
+        "joint_order": None,
+        "soft_joint_pos_limit_factor": 1.0,
+        "friction_source": "static",
+        "actuators": {},
+    }
     return {"profile": "survey", "asset": name, "base": "auto", "init_state": state, **settings}
 
 

@@ -259,7 +259,8 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
             yield Finding(f"{term.path}.weight", message, hint, {"before": before, "after": weight})
         if start >= total:
             message = f"training takes {total} control steps, and the weight changes after {start}"
-            hint, figures = f"num_steps below {total}, or more iterations", {"num_steps": start, "total_steps": total}
+            hint = f"num_steps below {total}, or more iterations"
+            figures: dict[str, float] = {"num_steps": start, "total_steps": total}
             yield Finding(f"{term.path}.num_steps", message, hint, figures, ({f"{term.path}.num_steps": total - 1},))
 
 

@@ -99,7 +99,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         return _of_elements(value, annotation, kind, arguments)
     # A parameter that is an object needs a ``_target_`` node. The module config_sections checks sections.
     built = isinstance(value, Mapping) and "_target_" in value
-    if built or not dataclasses.is_dataclass(kind) or isinstance(value, kind):
+    if built or not (isinstance(kind, type) and dataclasses.is_dataclass(kind)) or isinstance(value, kind):
         return []
     if not isinstance(value, Mapping):
         return [_wrong_type(value, kind)]

@@ -2,9 +2,8 @@ import pytest
 import torch
 from managers.spies import Altimeter
 
-from wheelleg_exp.sim.sensors import SensorBase
-
 from sim.small_envs import run
+from wheelleg_exp.sim.sensors import SensorBase
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 

@@ -154,7 +154,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
     """Return the mistakes in parameters that name a term of another section."""
-    errors = []
+    errors: list[ConfigError] = []
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
             continue
