@@ -205,7 +205,7 @@ def _runs(args: argparse.Namespace) -> Listed:
 
 
 def _short(keys: Sequence[str]) -> list[str]:
-    """Remove the first parts of dotted config keys, as long as the short keys differ from each other and the titles."""
+    """Shorten dotted config keys to their last parts; each short key differs from all other keys and column titles."""
     taken = {"id", "status", *LISTED}
 
     def name(key: str, parts: int) -> str:

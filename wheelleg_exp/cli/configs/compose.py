@@ -51,8 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     import yaml
 
-    # PyYAML breaks a line only after the entry that exceeds the given width, so a width below 80 gives lines of about
-    # 80.
+    # PyYAML exceeds the given line width by up to one entry, so the width is less than 80 characters.
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
     print(text.removesuffix("...\n"), end="")
     return EXIT_OK

@@ -116,8 +116,7 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
         limits = "unlimited"
         if dof.range is not None:
             limits = f"{dof.range[0]:.4g} to {dof.range[1]:.4g} {unit_of_range}"
-        # List a joint's limits and gains in the units of the robot file if they differ from the values in the MJCF
-        # file.
+        # List a joint's limits and gains in the robot file's units if they differ from the MJCF values.
         authored = report.authored.get(dof.path, {})
         by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
         low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
