@@ -71,9 +71,8 @@ def run(args: argparse.Namespace) -> int:
 def answer(line: str, breaks: str | None = None) -> list[str]:
     """Return the completion candidates for the last word of a command line.
 
-    The argument ``breaks`` contains the characters at which bash splits words; ``breaks`` is None for other shells.
-    bash expects only the part of a candidate after the last of these characters, and a space after a complete
-    candidate.
+    The argument ``breaks`` contains the characters at which bash splits words, and is None for other shells. bash
+    expects only the part of a candidate after its last word break, and a space after a complete candidate.
     """
     words, word, quote = split(line)
     try:

@@ -48,7 +48,7 @@ class Repository:
     """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)  # additional environment variables, such as an index path
+    environ: dict[str, str] = field(default_factory=dict)  # Additional environment variables of git commands.
     settings: dict[str, str] = field(default_factory=dict)  # Replace git settings of the repository and the user.
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# Scalars with this prefix are wall-clock times. In two equal runs, all remaining scalars are equal.
+# Scalars with this prefix are wall-clock times. All other scalars are equal in two equal runs.
 _TIMES = "Perf/"
 
 

@@ -115,7 +115,7 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):
-        raise RunDirectoryError("the config file has no mapping", key=str(path), expected="the config of the run")
+        raise RunDirectoryError("the config file is not a mapping", key=str(path), expected="the config of the run")
     missing: list[str] = []
 
     def not_stored(name: str) -> Any:
@@ -148,7 +148,7 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
     path = Path(directory) / OVERRIDES
     found = read_yaml(path) if path.is_file() else []
     if not isinstance(found, list):
-        raise RunDirectoryError("the overrides file has no list", key=str(path), expected="the overrides of the run")
+        raise RunDirectoryError("the overrides file is not a list", key=str(path), expected="the overrides of the run")
     return [str(word) for word in found]
 
 

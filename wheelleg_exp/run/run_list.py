@@ -56,7 +56,7 @@ class RunSummary:
     name: str | None = None
     iterations: int | None = None  # finished iterations
     max_iterations: int | None = None
-    checkpoint: int | None = None  # the iteration of the last checkpoint
+    checkpoint: int | None = None  # The iteration of the last checkpoint.
     resumable: bool = False  # Whether ``resume`` can continue the run.
     resumes: int = 0
     figures: dict[str, float] = field(default_factory=dict)  # The final mean return, length, and time-out share.
@@ -64,7 +64,7 @@ class RunSummary:
     evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the exported deployment bundles.
     seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume.
-    bytes: int | None = None  # size of the files directly in the run directory
+    bytes: int | None = None  # The total size of the files directly in the run directory.
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:

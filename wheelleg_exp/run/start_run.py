@@ -42,8 +42,7 @@ def start_run(
         write_params(directory.path, params)
         for name, text in hydra_files.items():
             write_text(directory.hydra / name, text)
-        # The config can contain ${oc.env:NAME}. Store these environment variables, so that the config can be resolved
-        # later.
+        # Store the environment variables that the config requests, so that the config can be resolved later.
         requested = requested_variables(hydra_files.values())
         found = variables(also=requested)
         manifest.record(config_variables={name: found[name] for name in requested if name in found})
@@ -59,8 +58,7 @@ def complete_snapshot(
     max_patch_mb: float | None = None,
 ) -> None:
     """Write the second part of the snapshot, after parameters and configs: source and distributions."""
-    # A run whose manifest lacks this part was killed before its first step. A resume completes the snapshot of such a
-    # run.
+    # A run whose manifest lacks this part was killed before its first step. A resume completes the missing part.
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))
