@@ -107,7 +107,7 @@ class RunDirectory(os.PathLike[str]):
     ) -> RunDirectory:
         """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` in local time.
 
-        If a folder with this name exists, the suffix ``-2``, ``-3``, … makes the name unique. If ``section`` is
+        If the folder already exists, the suffix ``-2``, ``-3``, … makes the name unique. If ``section`` is
         ``agents`` or ``replays``, the directory is created in the subfolder ``section`` of the root; the name
         ``latest`` and the list of runs ignore this subfolder.
         """

@@ -357,7 +357,7 @@ def _holds(value: Any, sign: str, wanted: str) -> bool:
         if isinstance(value, str):
             return (number is None or _starts_with_digit(value)) and _ORDERED[sign](value, wanted)
         if number is None:
-            raise WheellegError(f"'{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
+            raise WheellegError(f"the value '{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
     if isinstance(value, bool) or value is None:
         equal = wanted.lower() in {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]

@@ -117,7 +117,7 @@ def new_record(status: Status, root: Path | None, note: str | None) -> dict[str,
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
-    """Return whether ``root`` is in a ``site-packages`` folder; if ``above`` is given, only folders below it count."""
+    """Return whether ``root`` is in a ``site-packages`` folder; if given, only folders below ``above`` count."""
     parts = root.parts if above is None else root.relative_to(above).parts
     return any(part in _INSTALL_FOLDERS for part in parts)
 

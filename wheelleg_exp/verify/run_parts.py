@@ -45,7 +45,7 @@ class Span:
 
     until: int
     whole: bool  # True if neither run has or will get more iterations than the compared ones.
-    closed: bool  # True if also both runs ended without being killed, so no file is truncated.
+    closed: bool  # True if ``whole`` is true and no run was killed, so no file is truncated.
     shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if lengths do not matter.
 
     def covers(self, name: str) -> bool:
