@@ -1,4 +1,4 @@
-"""The converters that ``converters.py`` compares, each in an environment of its own, and how to call them."""
+"""Define the converters that ``converters.py`` compares, and run each converter in a separate Python environment."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ INSTALL_LIMIT = 1800.0  # seconds
 
 
 class BenchmarkError(WheellegError):
-    """The comparison cannot be made: no corpus, no environment for a tool."""
+    """The comparison is impossible, for example without a corpus or without the Python environment of a converter."""
 
 
 @dataclass(frozen=True)
 class Tool:
     """A converter: what to install, and the command that converts.
 
-    ``command`` gets the source, the output and the options of ``wheelleg convert`` that the asset asks for, and
-    returns what follows the interpreter. Without ``pins`` the tool runs in the environment of this script.
+    The function ``command`` gets the source file, the output file and the options of ``wheelleg convert`` for the
+    asset, and returns the arguments of the Python interpreter. Without ``pins``, the tool runs in the environment of
+    this script.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Tool:
 
     @property
     def version(self) -> str:
-        """Return what is compared, with versions."""
+        """Return the names and versions of the packages that the tool uses."""
         own = (f"wheelleg_exp=={metadata.version('wheelleg_exp')}", f"mujoco=={metadata.version('mujoco')}")
         return " ".join(self.pins or own) + (f", {self.note}" if self.note else "")
 
@@ -71,7 +72,7 @@ TOOLS = {
 
 
 def interpreter(tool: Tool, work: Path) -> Path:
-    """Return the Python of a tool's environment, which is made at the first use.
+    """Return the Python interpreter of a tool's environment; create the environment at the first call.
 
     Raises:
         BenchmarkError: the environment cannot be made, such as without a network.
@@ -116,7 +117,7 @@ class Run:
 
 
 def convert(tool: Tool, python: Path, source: Path, output: Path, options: Sequence[str], limit: float) -> Run:
-    """Convert in a process of its own, which is ended after ``limit`` seconds."""
+    """Convert one file in a separate process, which is killed after ``limit`` seconds."""
     shutil.rmtree(output.parent, ignore_errors=True)
     output.parent.mkdir(parents=True)
     start = time.perf_counter()
@@ -135,7 +136,7 @@ def convert(tool: Tool, python: Path, source: Path, output: Path, options: Seque
 
 
 def last_line(text: str) -> str:
-    """Return the last line that names an error, else the last one, at most 300 characters."""
+    """Return the last line that contains the word "error", otherwise the last line; cut the line to 300 characters."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if "error" in line.lower()]
     return (errors or lines or ["no message"])[-1][:300]

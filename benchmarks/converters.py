@@ -1,15 +1,15 @@
-"""How many USD files of a corpus each converter turns into the MJCF that the files say.
+"""Count the USD files of a corpus that each converter turns into the expected MJCF.
 
     python benchmarks/converters.py --corpus DIR [--tools wheelleg,mujoco-usd,newton] [--only a,b]
                                     [--markdown | --json] [--work DIR]
 
-A corpus is a folder with ``assets``, ``expected/NAME.json`` and a ``check.py`` that holds an MJCF against one of these
-(``WHEELLEG_USD_CORPUS`` names it too). Each tool gets an environment of its own with pinned versions, made at the first
-use, and converts every asset in a process of its own. An MJCF then
+A corpus is a folder with ``assets``, ``expected/NAME.json`` and a ``check.py`` that compares an MJCF with an
+expectation. The environment variable ``WHEELLEG_USD_CORPUS`` can also name the corpus. Each converter gets a separate
+Python environment with pinned versions, and converts every asset in a separate process. An MJCF then
 
-    loads     when MuJoCo builds a model of it
+    loads     when MuJoCo builds a model from the MJCF
     coarsely  agrees when bodies, degrees of freedom, total mass and number of colliders are right
-    unnamed   agrees when everything is right but the names of bodies, joints and actuators
+    unnamed   agrees when everything is right except the names of bodies, joints and actuators
     agrees    when everything is right, names included
 """
 
@@ -37,7 +37,7 @@ COLUMNS = ("loads", "coarsely", "unnamed", "agrees")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tool made of one asset. ``differs`` names the aspects that are wrong, ``problem`` the first reason."""
+    """The result of one converter for one asset; ``differs`` names the wrong aspects, ``problem`` the first reason."""
 
     tool: str
     asset: str
@@ -52,20 +52,20 @@ class Outcome:
 
     @property
     def grade(self) -> str:
-        """Return the best word for it."""
+        """Return the best grade that the result reaches."""
         return next((word for word in reversed(COLUMNS) if getattr(self, word)), "fails")
 
 
 # ---------------------------------------------------------------- measuring
 def expectations(corpus: Path | None, only: list[str]) -> list[dict[str, Any]]:
-    """Return the corpus's expectations, by name.
+    """Return the expected results of the corpus, sorted by asset name.
 
     Raises:
         BenchmarkError: there is no corpus, or no such asset in it.
     """
     if corpus is None or not (corpus / "check.py").is_file() or not (corpus / "expected").is_dir():
         raise BenchmarkError(
-            f"'{corpus}' is no corpus" if corpus else "no corpus is named",
+            f"the folder '{corpus}' is not a corpus" if corpus else "the option --corpus is missing",
             key="--corpus",
             expected="a folder with assets, expected/NAME.json and check.py (or WHEELLEG_USD_CORPUS)",
         )
@@ -78,7 +78,7 @@ def expectations(corpus: Path | None, only: list[str]) -> list[dict[str, Any]]:
 
 
 def measure(tool: Tool, corpus: Path, wanted: list[dict[str, Any]], work: Path, limit: float) -> list[Outcome]:
-    """Convert all assets with one tool and hold the models against the expectations."""
+    """Convert all assets with one converter, and compare the models with the expected results."""
     python, models = interpreter(tool, work), work / "models" / tool.name
     runs = {}
     for number, item in enumerate(wanted, 1):
@@ -120,7 +120,7 @@ Table = list[list[str]]
 
 
 def summary(outcomes: list[Outcome]) -> Table:
-    """Return one row for each tool."""
+    """Return the summary table with one row for each converter."""
     rows = [["tool", *COLUMNS, "of", "median s"]]
     for tool in _tools(outcomes):
         mine = [o for o in outcomes if o.tool == tool]
@@ -130,7 +130,7 @@ def summary(outcomes: list[Outcome]) -> Table:
 
 
 def by_style(outcomes: list[Outcome]) -> Table:
-    """Return for each style and tool how many load / agree coarsely / agree but for names / agree."""
+    """Return, for each style and converter, how many assets load, agree coarsely, agree except for names, and agree."""
     tools = _tools(outcomes)
     rows = [["style", "assets", *tools]]
     for style in sorted({o.style for o in outcomes}):
@@ -143,7 +143,7 @@ def by_style(outcomes: list[Outcome]) -> Table:
 
 
 def by_asset(outcomes: list[Outcome]) -> Table:
-    """Return the grade of each asset by each tool."""
+    """Return a table with the grade of each asset for each converter."""
     tools = _tools(outcomes)
     found = {(o.asset, o.tool): o for o in outcomes}
     assets = sorted({(o.style, o.asset) for o in outcomes})
@@ -171,7 +171,7 @@ def markdown(table: Table) -> str:
 
 
 def document(outcomes: list[Outcome]) -> str:
-    """Return all tables in Markdown, with what was compared."""
+    """Return all tables and the compared versions in Markdown."""
     count = len({o.asset for o in outcomes})
     lines = [f"{count} assets; Python {platform.python_version()}, {platform.machine()}.", ""]
     lines += [f"- `{tool}`: {TOOLS[tool].version}" for tool in _tools(outcomes)]
@@ -181,7 +181,7 @@ def document(outcomes: list[Outcome]) -> str:
 
 
 def text(outcomes: list[Outcome]) -> str:
-    """Return all tables for the terminal, and why each asset that does not agree does not."""
+    """Return all tables for the terminal, and the reason for each asset that does not agree."""
     parts = [plain(summary(outcomes)), f"{' / '.join(COLUMNS)}\n{plain(by_style(outcomes))}", plain(by_asset(outcomes))]
     wrong = [[o.tool, o.asset, " ".join(o.differs), o.problem[:100]] for o in outcomes if not o.unnamed]
     return "\n\n".join([*parts, plain([["tool", "asset", "differs", "first reason"], *wrong])])
@@ -204,7 +204,7 @@ def arguments() -> argparse.Namespace:
 
 
 def run(args: argparse.Namespace) -> list[Outcome]:
-    """Measure all tools that were asked for."""
+    """Measure all converters that the command line names."""
     names = [word for word in args.tools.split(",") if word]
     for name in names:
         if name not in TOOLS:
@@ -212,7 +212,7 @@ def run(args: argparse.Namespace) -> list[Outcome]:
             raise BenchmarkError(f"there is no tool '{name}'", key="--tools", expected=", ".join(TOOLS), nearest=near)
     wanted = expectations(args.corpus, [word for word in args.only.split(",") if word])
     work = args.work.resolve()
-    for name in names:  # all environments first: without a network it ends here
+    for name in names:  # Create all environments first, because this step fails without a network.
         interpreter(TOOLS[name], work)
     found = (measure(TOOLS[name], args.corpus.resolve(), wanted, work, args.limit) for name in names)
     return [outcome for group in found for outcome in group]

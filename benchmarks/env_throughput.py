@@ -1,11 +1,11 @@
-"""How close a full ``env.step`` comes to MuJoCo's own speed, measured side by side in one process.
+"""Compare the speed of a full ``env.step`` with the speed of MuJoCo alone, in one process.
 
     python benchmarks/env_throughput.py [--num-envs 512] [--steps 300] [--json] [--beside] [overrides ...]
 
 Blocks of environment steps alternate with bare ``Batch.step`` calls of the same model and decimation, from the same
-states and with the same controls, so that both see the same contacts and the same noise of the machine. A second pass
-says what the rest is spent on. ``--beside`` steps environments with rays and terrain in turn with the plain one, and
-says what each costs.
+states and with the same controls, so that contacts and other load on the computer affect both measurements equally. A
+second pass measures the time of each part of an environment step. ``--beside`` also measures environments with ray
+sensors and terrain.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
 from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
 
-BLOCK = 10  # steps between the two; each step apart would measure how they empty each other's caches
+BLOCK = 10  # The number of steps in a block; single alternating steps would run with cold caches.
 
 
 def actions(env: ManagerBasedRLEnv, steps: int) -> list[torch.Tensor]:
-    """Return small random actions, the same at every run, so that episodes end at many different times."""
+    """Return small random actions, equal in every call, so that episodes end at many different times."""
     generator = torch.Generator().manual_seed(0)
     width = env.action_manager.total_action_dim
     return [0.3 * torch.randn(env.num_envs, width, generator=generator) for _ in range(steps)]
 
 
 def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
-    """Return seconds in ``env.step`` and in bare ``Batch.step``, taken in turn, block by block."""
+    """Return the seconds spent in ``env.step`` and in bare ``Batch.step``; blocks of both alternate."""
     engine = env.scene.sim
     assert isinstance(engine, BatchEngine)
     batch = engine.batch
@@ -66,7 +66,7 @@ def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
 
 
 def breakdown(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
-    """Return milliseconds per step by part of the step."""
+    """Return the time of each part of an environment step, ms."""
     spent = time_parts(env, time.perf_counter)
     start = time.perf_counter()
     with torch.inference_mode():
@@ -89,7 +89,7 @@ VARIANTS: dict[str, list[str]] = {
 
 
 def beside(num_envs: int, steps: int, overrides: list[str]) -> dict[str, float]:
-    """Return milliseconds per step of the environment with each addition, taken in turn, block by block."""
+    """Return the time of an environment step with each added sensor or terrain, ms; blocks of variants alternate."""
     envs: dict[str, ManagerBasedRLEnv] = {}
     for name, words in VARIANTS.items():
         composed = compose([f"env.num_envs={num_envs}", *words, *overrides])
@@ -109,7 +109,7 @@ def beside(num_envs: int, steps: int, overrides: list[str]) -> dict[str, float]:
 
 
 def print_beside(spent: dict[str, float]) -> None:
-    """Print what each addition costs beside the plain step."""
+    """Print how much time each added sensor or terrain costs compared with the plain environment."""
     print("\nenv.step beside the plain one, in turn (ms, ratio):")
     for name, value in spent.items():
         print(f"  {name:24s} {value:7.3f} {value / spent['plain']:7.2f}")

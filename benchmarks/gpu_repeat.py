@@ -1,12 +1,11 @@
-"""Whether mujoco-warp repeats: the same steps from the same state, by its modes and numbers of worlds.
+"""Check whether mujoco-warp repeats a simulation bit for bit, for each of its modes and numbers of worlds.
 
     python benchmarks/gpu_repeat.py [--device cuda:0] [--num-envs 1 64 4096] [--modes none atomics all]
         [-- overrides ...]
 
-For each mode of ``opt.deterministic``, and with sorts that mujoco-warp has not (``gpu_sorted.py``: ``sorted`` without
-exact sums, ``exact`` with them; both launch kernel by kernel), three runs of 100 physics steps from a state in which
-robots stand, fall and lie. Prints after 1, 2, 10 and 100 steps in how many worlds two runs differ to the bit, and by
-how much.
+Each mode of ``opt.deterministic`` makes three runs of 100 physics steps from a state in which robots stand, fall and
+lie. The modes ``sorted`` and ``exact`` add the sorts of ``gpu_sorted.py``, without and with exact sums, and launch each
+kernel separately. The script prints after 1, 2, 10 and 100 steps in how many worlds two runs differ, and by how much.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from wheelleg_exp.sim.warp_engine import WarpEngine  # noqa: E402
 
 LOOKS = (1, 2, 10, 100)
 RUNS = 3
-MODES = ("none", "atomics", "all", "sorted", "exact")  # in this order: sorts stay
+MODES = ("none", "atomics", "all", "sorted", "exact")  # The order matters: added sorts stay active.
 
 
 def runs(num_envs: int, device: str, mode: str, overrides: list[str]) -> tuple[list[list[torch.Tensor]], float]:
-    """Return the states of each run at each look, and milliseconds a step."""
+    """Return the states of each run after each number of steps in ``LOOKS``, and the time of a step, ms."""
     words = [*overrides, "env.sim.engine=warp", f"env.sim.device={device}", f"env.num_envs={num_envs}"]
     if mode in ("sorted", "exact"):
         words.append("env.sim.graph=false")

@@ -1,8 +1,8 @@
-"""Contacts and constraint rows of mujoco-warp in an order that does not depend on which thread came first.
+"""Sort the contacts and constraint rows of mujoco-warp, so that their order does not depend on thread timing.
 
-mujoco-warp 4.0 calls two sorts where ``opt.deterministic`` asks for them, and both are empty. These fill them, with
-torch, for the benchmark of repetition: contacts by world, pair of geoms and number within the pair; rows of a world by
-kind and object. Rows of one contact are neighbours before and behind.
+If ``opt.deterministic`` is set, mujoco-warp 4.0 calls two sort functions that do nothing. For the benchmark
+``gpu_repeat.py``, this module implements the two functions with torch. Contacts are sorted by world, geom pair and
+number within the pair; the rows of a world by type and object. The rows of one contact stay adjacent.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _GEOMS, _PER_PAIR = 1 << 16, 1 << 8
 
 
 def fill_the_sorts(wp: ModuleType) -> None:
-    """Let mujoco-warp sort where it is asked to."""
+    """Replace the empty sort functions of mujoco-warp."""
     from mujoco_warp._src import collision_driver, constraint
 
     def tensor(array: Any) -> torch.Tensor:
@@ -29,7 +29,7 @@ def fill_the_sorts(wp: ModuleType) -> None:
         contact = data.contact
         geom, world = tensor(contact.geom).long(), tensor(contact.worldid).long()
         pair = (geom[:, 0] + 1) * _GEOMS + geom[:, 1] + 1
-        # Two keys, since one does not hold worlds and geoms: the later sort keeps the order of the first.
+        # Sort twice, because one key cannot contain world and geoms; the second sort is stable.
         key = pair * _PER_PAIR + tensor(contact.geomcollisionid)
         used = torch.arange(len(world), device=world.device) < tensor(data.nacon)
         first = torch.argsort(key, stable=True)
@@ -42,12 +42,12 @@ def fill_the_sorts(wp: ModuleType) -> None:
 
     def sort_rows(model: Any, data: Any) -> None:
         if model.is_sparse:
-            raise NotImplementedError("rows of a sparse Jacobian")
+            raise NotImplementedError("the rows of a sparse Jacobian cannot be sorted")
         efc = data.efc
         count, rows = tensor(data.nefc).long().view(-1, 1), efc.type.shape[1]
         index = torch.arange(rows, device=count.device).expand(len(count), rows)
         key = ((tensor(efc.type).long() << 40) + tensor(efc.id).long()) * rows
-        # A contact's rows, and those of one equality, are in order already, side by side.
+        # The rows of one contact or one equality are already adjacent and in order.
         order = torch.argsort(torch.where(index < count, key, _LAST), dim=1, stable=True)
         place = torch.empty_like(order).scatter_(1, order, index)
         for name in _ROW_FIELDS:
@@ -64,7 +64,7 @@ def fill_the_sorts(wp: ModuleType) -> None:
 
 
 def _blocks(address: torch.Tensor, rows: torch.Tensor, count: torch.Tensor, place: torch.Tensor) -> None:
-    """Let blocks of rows follow their rows, and one another in the order of these."""
+    """Move the row blocks in the order of their sorted rows."""
     used = torch.arange(address.shape[1], device=address.device) < count
     moved = place.gather(1, address.long().clamp(0, place.shape[1] - 1))
     order = torch.argsort(torch.where(used, moved, _LAST), dim=1, stable=True)

@@ -1,12 +1,12 @@
-"""How close a full ``env.step`` on mujoco-warp comes to bare mujoco-warp, and what a training iteration takes.
+"""Compare the speed of ``env.step`` on mujoco-warp with mujoco-warp alone, and measure a training iteration.
 
     python benchmarks/gpu_throughput.py [--num-envs 512 4096 16384] [--steps 200] [--device cuda:0] [--json FILE]
         [--train] [--profile] [overrides ...]
 
-Blocks of environment steps alternate with bare physics steps of the same model, room, states and controls, as many a
-control step as the environment makes, in one CUDA graph. ``--train`` adds iterations of the task's own algorithm,
-``--profile`` the kernels of one environment step and the waits of the host for the device. On ``--device cpu`` it runs
-with few environments, to be tried.
+Blocks of environment steps alternate with bare physics steps of the same model, buffer sizes, states and controls; the
+physics steps of one control step are one CUDA graph. ``--train`` also measures training iterations. ``--profile`` also
+counts the kernels of one environment step and the waits of the host for the device. For a trial without a GPU, use
+``--device cpu`` and few environments.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from wheelleg_exp.config.composing.compose import compose  # noqa: E402
 from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
 from wheelleg_exp.sim.warp_engine import WarpEngine  # noqa: E402
 
-BLOCK = 20  # steps between the two
-WARM_UP, MOST_WARM_UP = 30, 3000  # a number of environments that end together is captured when it has come up often
+BLOCK = 20  # The number of steps in a block.
+WARM_UP, MOST_WARM_UP = 30, 3000  # Graphs of frequent reset counts are captured late.
 
 
 def now(device: torch.device) -> float:
-    """Return the time at which all that was launched is done, s."""
+    """Wait until the device has finished all launched work, and return the current time, s."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
@@ -71,12 +71,12 @@ class Bare:
                 self._graph = capture.graph
 
     def take_states(self) -> None:
-        """Begin from where the environments are, with their controls."""
+        """Copy the current states and controls of the environments."""
         for name in ("qpos", "qvel", "ctrl", "xfrc_applied", "qacc_warmstart"):
             self._wp.to_torch(getattr(self.data, name)).view_as(self._engine.view(name)).copy_(self._engine.view(name))
 
     def step(self) -> None:
-        """Make the physics steps of one control step."""
+        """Simulate the physics steps of one control step."""
         if self._graph is None:
             with self._wp.ScopedDevice(self._engine._graphs.place):
                 self._steps()
@@ -92,7 +92,7 @@ def actions(env: ManagerBasedRLEnv, steps: int) -> list[torch.Tensor]:
 
 
 def warm_up(env: ManagerBasedRLEnv, todo: list[torch.Tensor]) -> None:
-    """Step until whatever is captured on the way has been."""
+    """Step the environment until no new CUDA graph is captured."""
     captured, steps = None, 0
     while steps < WARM_UP or (env.scene.sim.is_captured and steps < MOST_WARM_UP):
         env.step(todo[steps % len(todo)])
@@ -104,7 +104,7 @@ def warm_up(env: ManagerBasedRLEnv, todo: list[torch.Tensor]) -> None:
 
 
 def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
-    """Return seconds a step in ``env.step`` and in bare physics, taken in turn: medians of blocks."""
+    """Return the seconds per step in ``env.step`` and in bare physics, as medians of alternating blocks."""
     bare, todo = Bare(env), actions(env, WARM_UP)
     full_times, bare_times = [], []
     with torch.inference_mode():
@@ -124,7 +124,7 @@ def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
 
 
 def parts(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
-    """Return milliseconds a step by part; the device is waited for behind each, so the sum is more than a step."""
+    """Return the time of each part of a step, ms; the sum exceeds a step, because the host waits after each part."""
     spent = time_parts(env, partial(now, env.device))
     todo = actions(env, steps)
     with torch.inference_mode():
@@ -163,7 +163,7 @@ def profile(env: ManagerBasedRLEnv) -> dict[str, Any]:
 
 
 def train(overrides: list[str], num_envs: int, device: str, iterations: int) -> dict[str, float]:
-    """Return seconds of the rollout and of the update of an iteration, medians, and environment steps/s."""
+    """Return the median seconds of the rollout and of the update of an iteration, and the environment steps/s."""
     from wheelleg_exp.rl.trainer import Trainer
     from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -181,7 +181,7 @@ def train(overrides: list[str], num_envs: int, device: str, iterations: int) -> 
 
 
 def machine(device: torch.device) -> dict[str, Any]:
-    """Return what it ran on."""
+    """Return the versions of the packages, and the name of the device."""
     found: dict[str, Any] = {"python": platform.python_version(), "torch": torch.__version__}
     for name in ("mujoco", "mujoco_warp", "warp"):
         found[name] = __import__(name).__version__
@@ -190,7 +190,7 @@ def machine(device: torch.device) -> dict[str, Any]:
 
 
 def measure(num_envs: int, args: argparse.Namespace) -> dict[str, Any]:
-    """Measure one size and print it."""
+    """Measure and print the speed for one number of environments."""
     overrides = ["env.sim.engine=warp", f"env.sim.device={args.device}", *args.overrides]
     composed = compose([*overrides, f"env.num_envs={num_envs}"])
     start = time.perf_counter()

@@ -1,12 +1,12 @@
-"""Whether memory stays flat: trainings with recordings, one after the other in one process.
+"""Check that memory does not grow during many trainings with recordings in one process.
 
     python benchmarks/memory.py [--minutes 5] [--every 10] [--limit MB] [--json] [overrides ...]
 
-Small trainings are repeated until the time is over; ``agent.max_iterations=100000`` makes it one long training. Every
-``--every`` seconds a line says how much memory, how many threads and open files the process has, how much of the memory
-C's allocator and Python's hold, and how many objects of Python there are. At the end stand the slope over the second
-half, when caches and pools are as large as they become, and the kinds of objects that became more. The exit status is 1
-when the slope, over an hour, is more than ``--limit`` MB.
+Small trainings are repeated until the time is over; with ``agent.max_iterations=100000``, the process runs one long
+training. Every ``--every`` seconds, the script prints the memory, threads and open files of the process, the memory
+allocated by the allocators of C and Python, and the number of Python objects. At the end, the script prints the growth
+of memory over the second half, when all caches are full, and the types whose number of objects grew. The exit status is
+1 if memory grows by more than ``--limit`` MB per hour.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SMALL = [
 
 @dataclass(frozen=True)
 class Sample:
-    """What the process has at a moment.
+    """The memory, threads and files of the process at one time.
 
     Attributes:
         seconds: since the beginning.
@@ -70,7 +70,7 @@ class Sample:
 
 @dataclass
 class Watch(Display):
-    """Takes a sample every so many seconds; a display for the trainings."""
+    """A display of trainings that takes a memory sample at a fixed interval."""
 
     every: float
     until: float
@@ -83,11 +83,11 @@ class Watch(Display):
 
     @property
     def seconds(self) -> float:
-        """The time since the beginning, s."""
+        """The time since the start of the measurement, s."""
         return time.monotonic() - self._began
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Count an iteration, sample when it is time, and stop the training when the time is over."""
+        """Count an iteration, take a sample if one is due, and stop the training when the time is over."""
         del iteration, total
         self.iterations += 1
         if self.seconds >= self.every * (len(self.samples) + 1):
@@ -113,7 +113,7 @@ class Watch(Display):
 
 
 def _own_memory() -> float:
-    """Return the memory that is of this process alone, MB."""
+    """Return the memory that only this process uses, MB."""
     (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssAnon:"))
     return round(int(line.split()[1]) * 1024 / 1e6, 1)
 
@@ -124,7 +124,7 @@ class _Mallinfo(ctypes.Structure):
 
 
 def _allocated() -> float | None:
-    """Return what glibc's allocator has given out, MB."""
+    """Return the memory allocated by glibc, MB."""
     try:
         ask = ctypes.CDLL(None).mallinfo2
     except AttributeError:
@@ -135,13 +135,13 @@ def _allocated() -> float | None:
 
 
 def objects() -> Counter[str]:
-    """Return how many objects there are of each kind."""
+    """Return the number of Python objects of each type."""
     gc.collect()
     return Counter(f"{type(o).__module__}.{type(o).__qualname__}" for o in gc.get_objects())
 
 
 def measure(overrides: list[str], minutes: float, every: float, *, is_quiet: bool) -> dict[str, Any]:
-    """Train until the time is over, in a temporary folder, and return what was found."""
+    """Train in a temporary folder until the time is over, and return the samples."""
     settled: Counter[str] | None = None
     with tempfile.TemporaryDirectory() as root, StopRequest() as stop:
         watch = Watch(every, 60.0 * minutes, stop, is_quiet)
@@ -172,7 +172,7 @@ def slope(samples: list[Sample], of: Any) -> float:
 
 
 def main() -> int:
-    """Print what was found, and return the exit status."""
+    """Print the results, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--every", type=float, default=10.0, metavar="S")

@@ -1,14 +1,14 @@
-"""Throughput and learning of one, two and four processes that train one policy, each on a GPU of its own.
+"""Measure the throughput and learning of one, two and four processes, each with its own GPU, that train one policy.
 
     python benchmarks/multi_gpu.py [--processes 1 2 4] [--num-envs 4096] [--seeds 0] [--iterations 60] [--json FILE]
         [--device cuda] [overrides ...]
 
-For each number N two trainings a seed: ``wide``, N times as many environments in all (each process has ``--num-envs``),
-and ``split``, as many in all as one process has (each has their Nth part), which must learn as one does. The trainings
-are ordinary ones under ``python -m torch.distributed.run``, in a temporary folder. Printed are environment steps a
-second, medians over the second half of the iterations; after how many iterations the mean episode length first passed
-90 % of the longest; the mean return and length of the last tenth. With ``--device cpu --num-envs 16 --iterations 4``
-it can be tried without a GPU.
+For N processes and each seed, the script runs two trainings. In the training ``wide``, each process has ``--num-envs``
+environments. In the training ``split``, all processes together have ``--num-envs`` environments, and the policy must
+learn like a policy of one process. The trainings run under ``python -m torch.distributed.run`` in a temporary folder.
+The script prints the environment steps per second (median over the second half of the iterations), the iteration in
+which the mean episode length first passes 90 % of the longest, and the mean return and length of the last tenth. For a
+trial without a GPU, use ``--device cpu --num-envs 16 --iterations 4``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any
 
 from wheelleg_exp.config.composing.compose import compose
 
-_LONG = 0.9  # of the longest episode
+_LONG = 0.9  # fraction of the longest episode
 _COLUMNS = (
     "kind",
     "processes",
@@ -43,7 +43,7 @@ _COLUMNS = (
 
 
 def train(processes: int, overrides: Sequence[str], root: Path) -> tuple[list[dict[str, Any]], float]:
-    """Train once; return the scalars of each iteration, and how long all of it took, s."""
+    """Train once; return the scalars of each iteration, and the total time, s."""
     module = ["-m", "wheelleg_exp.cli.main", "train", *overrides, f"run.root={root}"]
     together = (
         ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)] if processes > 1 else []
@@ -59,7 +59,7 @@ def train(processes: int, overrides: Sequence[str], root: Path) -> tuple[list[di
 
 
 def summary(scalars: Sequence[dict[str, Any]], longest: float) -> dict[str, Any]:
-    """Return the figures of one training."""
+    """Return one table row with the results of one training."""
     later, last = scalars[len(scalars) // 2 :], scalars[-max(1, len(scalars) // 10) :]
     lengths = [float(line.get("Train/mean_episode_length", 0.0)) for line in scalars]
     return {
@@ -73,7 +73,7 @@ def summary(scalars: Sequence[dict[str, Any]], longest: float) -> dict[str, Any]
 
 
 def main() -> None:
-    """Measure and print, or write a table."""
+    """Run all trainings, and print or write the table of results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--num-envs", type=int, default=4096, help="of one process, of the training that is wide")

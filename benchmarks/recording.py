@@ -1,11 +1,11 @@
-"""What recording costs a training: time, memory and room, on against off in one process.
+"""Measure how much time, memory and disk space the recording of a training costs.
 
     python benchmarks/recording.py [--num-envs 512] [--iterations 200] [--small] [--json] [overrides ...]
 
-Two trainings of the same seed take turns, a few iterations each, so that both meet the same noise of the machine: one
-is recorded as by default, the other is not. Each keeps its own state of torch's random generator, so that both must
-end with the same weights to the bit; that is checked. ``--small`` takes a minute: the networks and the number of
-environments are small there, so that the share is far larger than in a real training; look at the milliseconds.
+Two trainings with one seed alternate every few iterations in one process, so that other load affects both equally. Only
+one of the trainings is recorded. Each training has a separate state of torch's random generator, and the script checks
+that both trainings end with equal weights. ``--small`` takes a minute and uses small networks and few environments, so
+the recording's share of the time is far larger than in a real training; compare the milliseconds instead.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from wheelleg_exp.rl.trainer import Iteration, Trainer  # noqa: E402
 from wheelleg_exp.rl.vec_env import RslRlVecEnv  # noqa: E402
 from wheelleg_exp.run.run_directory import RunDirectory  # noqa: E402
 
-BLOCK = 5  # iterations between the two trainings
+BLOCK = 5  # The number of iterations in a block.
 SMALL = ["agent.actor.hidden_dims=[64,64]", "agent.critic.hidden_dims=[64,64]", "recording.interval=20"]
 SMALL += ["recording.steps=120"]
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -59,26 +59,26 @@ class Side:
 
 
 class Inside:
-    """Processor time spent inside the recording itself, which other work on the machine hardly touches."""
+    """The CPU time spent in the recording code, which other load on the computer hardly affects."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
     def __call__(self, do: Callable[..., None], *arguments: Any) -> None:
-        """Do something and count it."""
+        """Call a function and add its CPU time to the sum."""
         start = time.process_time()
         do(*arguments)
         self.seconds += time.process_time() - start
 
 
 def side(config: dict[str, Any], roots: Any) -> Side:
-    """Build a training."""
+    """Build one of the two trainings."""
     trainer = Trainer(RslRlVecEnv(build_env(config, roots)), config["agent"], config["seed"])
     return Side(trainer, trainer.learn(until=10**9), torch.get_rng_state())
 
 
 def block(of: Side, recording: TrainingRecording | None, count: int, inside: Inside) -> None:
-    """Train for a few iterations and note the time; with a recording, all that it does is part of it."""
+    """Train for a few iterations and store the time, including the time of the recording."""
     torch.set_rng_state(of.random)
     elapsed, busy = time.perf_counter(), time.process_time()
     for _ in range(count):
@@ -97,13 +97,13 @@ def resident() -> float:
 
 
 def same(one: Trainer, two: Trainer) -> bool:
-    """Return whether the two have the same weights, to the bit."""
+    """Return whether the two trainings have equal weights, bit for bit."""
     pairs = zip(one.algorithm.actor.parameters(), two.algorithm.actor.parameters(), strict=True)
     return all(torch.equal(a, b) for a, b in pairs)
 
 
 def measure(config: dict[str, Any], roots: Any, iterations: int) -> dict[str, Any]:
-    """Return what was found, in a temporary folder."""
+    """Run both trainings in a temporary folder, and return the results."""
     on, off = side(config, roots), side(config, roots)
     memory, inside, env = [], Inside(), on.trainer.env.env
     with tempfile.TemporaryDirectory() as root:
@@ -129,7 +129,7 @@ def _figures(on: Side, off: Side, iterations: int) -> dict[str, float]:
     with_recording, without = (np.array(s.seconds) for s in (on, off))
     extra = (with_recording - without).sum(axis=0) / iterations * 1e3
     ratio = with_recording.sum(axis=0) / without.sum(axis=0)
-    # Blocks in which nothing moves are cheaper; the spread of the others is the machine's noise.
+    # Ignore blocks without motion, which are cheaper; the remaining spread is noise of the computer.
     return {
         "iteration_ms": float(without[:, 0].sum() / iterations * 1e3),
         "extra_ms": float(extra[0]),
@@ -141,14 +141,14 @@ def _figures(on: Side, off: Side, iterations: int) -> dict[str, float]:
 
 
 def _memory(megabytes: list[float]) -> dict[str, float]:
-    """Return the slope over the second half, when caches and pools are as large as they become."""
+    """Return the growth of memory over the second half of the samples, when all caches are full."""
     later = megabytes[len(megabytes) // 2 :]
     slope = np.polyfit(np.arange(len(later)) * BLOCK, later, 1)[0] if len(later) > 1 else 0.0
     return {"memory_mb": megabytes[-1], "memory_mb_per_100_iterations": float(slope * 100)}
 
 
 def main() -> None:
-    """Print what was found."""
+    """Print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--num-envs", type=int)
     parser.add_argument("--iterations", type=int)

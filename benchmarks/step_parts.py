@@ -1,4 +1,4 @@
-"""The parts of a step of the environment, timed while it steps."""
+"""Measure the time of each part of an environment step."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 
 
 def time_parts(env: ManagerBasedRLEnv, now: Callable[[], float]) -> dict[str, float]:
-    """Time the parts of every step from here on.
+    """Measure the parts of every following step of an environment.
 
     Args:
         env: the environment; its parts stay wrapped.
         now: a clock, s.
 
     Returns:
-        Seconds spent so far by part, which grow as the environment steps.
+        The seconds spent in each part so far; every environment step increases the values.
     """
     spent: dict[str, float] = defaultdict(float)
 

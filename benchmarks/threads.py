@@ -1,10 +1,10 @@
-"""How fast a training iteration is with 1 and 2 threads of each kind, on a quiet and on a busy machine.
+"""Measure a training iteration with 1 and 2 threads of torch and of the physics, on an idle and a busy computer.
 
     python benchmarks/threads.py [--envs 512] [--iterations 3] [--rounds 2] [--busy 2]
 
-Every case is a training of its own, in a process of its own, because the variables count only before torch is imported.
-The cases are interleaved, so that a load which comes and goes meets all of them. The numbers are the medians of seconds
-of wall clock and of CPU time for one iteration, the first of each training left out.
+Every case is a training in a separate process, because the environment variables must be set before torch is imported.
+The cases are interleaved, so that other load on the computer affects all cases equally. The script prints the median
+wall-clock time and CPU time of one iteration, s, without the first iteration of each training.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ SPIN = "while True: pass"
 class Case:
     """Threads of torch and of the physics (0: all), and how OpenMP's idle threads wait.
 
-    ``stock`` is this program's choice, a while and then asleep; an empty word is OpenMP's own default.
+    ``stock`` is the default of wheelleg_exp: threads wait actively for a while and then sleep. An empty text is
+    OpenMP's default.
     """
 
     torch: int
@@ -43,7 +44,7 @@ CASES = [Case(1, 1), Case(1, 0), Case(2, 1), Case(2, 0), Case(2, 0, "PASSIVE"), 
 
 @contextmanager
 def busy(processes: int) -> Iterator[None]:
-    """Keep as many cores busy as there are processes."""
+    """Keep a number of CPU cores busy inside the ``with`` block."""
     running = [subprocess.Popen([sys.executable, "-c", SPIN]) for _ in range(processes)]
     try:
         yield
@@ -60,7 +61,7 @@ def measure(case: Case, envs: int, iterations: int) -> dict[str, float]:
     command += [f"env.num_envs={envs}", f"agent.max_iterations={iterations + 1}", "agent.save_interval=1000000"]
     command += [f"agent.torch_threads={case.torch}", f"env.sim.nthread={case.physics}"]
     if case.wait != "stock":
-        environ["OMP_WAIT_POLICY"] = case.wait  # an empty one is no policy for OpenMP, but one that is set for us
+        environ["OMP_WAIT_POLICY"] = case.wait  # An empty value only stops wheelleg_exp from setting one.
     with tempfile.TemporaryDirectory() as folder:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run([*command, f"run.root={folder}"], env=environ, check=True, capture_output=True)
@@ -74,7 +75,7 @@ def measure(case: Case, envs: int, iterations: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measure all cases and print a table."""
+    """Measure all cases and print a table of the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--iterations", type=int, default=3)

@@ -1,11 +1,11 @@
-"""Whether the update learns as well in bfloat16 as in float32: learning curves of both from the same seeds.
+"""Compare learning in bfloat16 and in float32 by the learning curves of trainings with equal seeds.
 
     python benchmarks/update_learning.py [--task stand] [--seeds 5] [--out FOLDER] [key=value ...]
 
-Trains one run after the other; one that is there already is taken as it is, so that a stopped comparison goes on. Then
-writes ``curves.csv`` (by iteration, for each scalar and kind the mean over seeds and the standard deviation) and prints
-the last tenth of the iterations: means over seeds, deviations between them, and Welch's t of the difference, which
-beyond about 2.3 with 5 seeds each is more than chance.
+The script trains one run after the other. An existing finished run is reused, so a stopped comparison can be continued.
+Then the script writes ``curves.csv``: for each iteration, scalar and number format, the mean and the standard deviation
+over the seeds. For the last tenth of the iterations, the script prints means, standard deviations, and Welch's t of the
+difference. With 5 seeds each, an absolute t above about 2.3 is more than chance.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ KINDS = ("float32", "bfloat16")
 
 
 def trained(folder: Path, task: str, kind: str, seed: int, overrides: list[str]) -> list[dict[str, float]]:
-    """Train, unless it is done already, and return the scalars of each iteration."""
+    """Train a run unless a finished run exists, and return the scalars of each iteration."""
     name = f"{kind}_{seed}"
     done = [path for path in folder.glob(f"{task}/*_{name}/iterations.jsonl") if _is_finished(path.parent)]
     if not done:
@@ -46,7 +46,7 @@ def _is_finished(run: Path) -> bool:
 
 
 def spread(values: list[float]) -> tuple[float, float]:
-    """Return mean and standard deviation of the values that are numbers."""
+    """Return the mean and standard deviation of the finite values."""
     finite = [value for value in values if math.isfinite(value)]
     if not finite:
         return math.nan, math.nan
@@ -54,7 +54,7 @@ def spread(values: list[float]) -> tuple[float, float]:
 
 
 def write_curves(path: Path, runs: dict[str, list[list[dict[str, float]]]]) -> None:
-    """Write mean and deviation over seeds, one line an iteration."""
+    """Write the mean and standard deviation over the seeds, one line for each iteration."""
     length = min(len(run) for kind in runs.values() for run in kind)
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -66,7 +66,7 @@ def write_curves(path: Path, runs: dict[str, list[list[dict[str, float]]]]) -> N
 
 
 def main() -> None:
-    """Train both kinds with each seed and compare."""
+    """Train with both number formats and each seed, and compare the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="stand")
     parser.add_argument("--seeds", type=int, default=5)
@@ -77,7 +77,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     runs: dict[str, list[list[dict[str, float]]]] = {kind: [] for kind in KINDS}
     for seed in range(args.seeds):
-        for kind in KINDS:  # in turn, so that a load which comes and goes meets both
+        for kind in KINDS:  # Alternate, so that other load affects both formats equally.
             runs[kind].append(trained(folder, args.task, kind, seed, args.overrides))
     write_curves(folder / "curves.csv", runs)
     print(f"{args.task}, {args.seeds} seeds, load {os.getloadavg()[0]:.1f}; curves in {folder / 'curves.csv'}")

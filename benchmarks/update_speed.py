@@ -1,14 +1,14 @@
-"""How long the update takes: stock rsl_rl's PPO, and ours, in turn, in one process.
+"""Compare the time of a PPO update of stock rsl_rl with an update of this project, alternating in one process.
 
     python benchmarks/update_speed.py [--envs 512] [--rounds 5] [--threads 2] [--matmul auto] [key=value ...]
     python benchmarks/update_speed.py --modes [--counts 1,2,4,8] [--rounds 3]
 
-The networks, their inputs, minibatches and epochs are those of the composed config; observations, rewards and
-episodes' ends are drawn, because the time does not depend on them. CPU time is told beside wall clock: on a busy
-machine it is steadier. ``--matmul float32`` measures ours without bfloat16.
+The networks, inputs, minibatches and epochs come from the composed config. The observations, rewards and episode ends
+are random, because the time does not depend on their values. The script prints CPU time in addition to wall-clock time,
+because CPU time is steadier on a busy computer. ``--matmul float32`` measures this project's update without bfloat16.
 
-``--modes`` runs ours with each of MKL's repeatable code paths, each kind of product and several numbers of threads, in
-processes of their own, and says which of them give the same weights to the bit.
+``--modes`` runs this project's update in separate processes with each repeatable code path of MKL, each number format
+and several numbers of threads, and prints which combinations give equal weights bit for bit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from wheelleg_exp.jobs.torch_threads import mkl_in_force  # noqa: E402
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul  # noqa: E402
 
 SECTIONS = ("num_steps_per_env", "obs_groups", "algorithm", "actor", "critic")
-WIDTHS = {"policy": 135, "critic": 180}  # of the observations of task=stand
+WIDTHS = {"policy": 135, "critic": 180}  # The observation widths of task=stand.
 ACTIONS = 6
 
 
@@ -71,7 +71,7 @@ def roll_out(algorithm: PPO, envs: int, steps: int) -> None:
 
 
 def timed(algorithm: PPO, matmul: str) -> tuple[float, float]:
-    """Update, and return seconds of wall clock and of CPU time."""
+    """Run one update, and return the seconds of wall-clock time and of CPU time."""
     networks = [algorithm.actor, algorithm.critic]
     with bfloat16_products(networks) if matmul == "bfloat16" else contextlib.nullcontext():
         start, cpu = time.perf_counter(), time.process_time()
@@ -80,7 +80,7 @@ def timed(algorithm: PPO, matmul: str) -> tuple[float, float]:
 
 
 def digest(algorithm: PPO) -> str:
-    """Return a digest of the networks' weights and the optimiser's means."""
+    """Return a digest of the networks' weights and the optimiser's state."""
     found = hashlib.sha256()
     means = [t for state in algorithm.optimizer.state.values() for t in state.values()]
     for tensor in [*algorithm.actor.parameters(), *algorithm.critic.parameters(), *means]:
@@ -89,7 +89,7 @@ def digest(algorithm: PPO) -> str:
 
 
 def measure(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    """Return median seconds by name, stock and ours or one of them, and what was in force."""
+    """Return the median seconds of each named update (``stock``, ``ours``), and the settings of the measurement."""
     agent = compose(["task=stand", *args.overrides]).config["agent"]
     torch.set_num_threads(args.threads)
     matmul = chosen_matmul({**agent, "matmul": args.matmul})
@@ -120,7 +120,7 @@ def measure(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
 
 
 def compare_modes(args: argparse.Namespace) -> None:
-    """Print seconds and digests of ours by code path, kind of product and number of threads."""
+    """Print seconds and digests of this project's update for each code path, number format and number of threads."""
     counts = [int(count) for count in args.counts.split(",")]
     for kernels in (PORTABLE_KERNELS, WIDE_KERNELS):
         for matmul in ("float32", "bfloat16"):
@@ -138,7 +138,7 @@ def compare_modes(args: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Measure both and print medians and their ratio; or compare modes."""
+    """Measure both updates and print the medians and their ratio, or compare modes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--rounds", type=int, default=5)

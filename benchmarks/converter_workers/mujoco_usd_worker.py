@@ -1,4 +1,4 @@
-"""Runs in mujoco-usd's own environment: ``python mujoco_usd_worker.py IN.usd OUT.xml``."""
+"""Convert a USD file with mujoco-usd: ``python mujoco_usd_worker.py IN.usd OUT.xml``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs in newton's own environment: ``python newton_worker.py IN.usd OUT.xml [resolvers] [floating]``."""
+"""Convert a USD file with newton: ``python newton_worker.py IN.usd OUT.xml [resolvers] [floating]``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ if "resolvers" in sys.argv[3:]:
 if "floating" in sys.argv[3:]:
     options["floating"] = True
 builder = newton.ModelBuilder()
-newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # without them it reads no MuJoCo actuators
+newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # needed to read MuJoCo actuators
 builder.add_usd(sys.argv[1], **options)
 newton.solvers.SolverMuJoCo(builder.finalize(device="cpu"), save_to_mjcf=sys.argv[2])

@@ -120,7 +120,7 @@ def test_the_first_iterations_alone_can_be_compared(trained, others, run):
     [
         (["nothing"], "there is no run 'nothing'"),
         (["."], "it has no manifest.json"),
-        (["latest", "latest"], "both are the run"),
+        (["latest", "latest"], "both runs are the run"),
         (["latest", "--common"], "one was given"),
         (["latest", "latest", "--iterations", "0"], "no iteration is selected for the comparison"),
         ([], "RUN"),

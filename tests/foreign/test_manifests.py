@@ -99,7 +99,7 @@ def test_invalid_times_are_reported(trial, moment):
     for changes in ({"started": moment}, {"ended": moment}):
         trial.manifest(**changes)
         trial.try_each(("list", "json"), 0)
-        trial.try_("verify", 2, "is not a time")
+        trial.try_("verify", 2, "is not a UTC time")
 
 
 PROCESSES = [{"pid": -1}, {"pid": 10**300}, {"pid": "1"}, {"pid": 1, "host": []}, [1]]

@@ -315,7 +315,7 @@ def test_a_page_that_there_is_not_is_told_with_those_that_there_are(written, cap
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".."])
 def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
     assert main(["results", name, str(run.path), *SHORT, "--into", str(tmp_path / "results")]) == 2
-    assert "is not a valid name for a page" in capsys.readouterr().err
+    assert "is not a valid name for a results page" in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.md"))
 
 

@@ -1,4 +1,4 @@
-"""Run the console script ``wheelleg``. Each command is one module, and only this package prints.
+"""Run the console script ``wheelleg``. Each command of ``wheelleg`` is one module, and only the package ``cli`` prints.
 
 | module | contents |
 |---|---|

@@ -29,13 +29,13 @@ class UsageError(WheellegError):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises UsageError with the nearest option."""
+    """An argument parser that raises UsageError for an unknown option and suggests the most similar known option."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, **kwargs})
 
     def error(self, message: str) -> NoReturn:
-        """Raise argparse's message as a UsageError."""
+        """Raise a UsageError with the error message of argparse."""
         options = [option for action in self._actions for option in action.option_strings]
         words = [action for action in self._actions if not action.option_strings]
         wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
@@ -60,9 +60,9 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
 def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse also lists optional arguments as missing.
+    if missing is not None:  # argparse also reports optional arguments as missing.
         wanted = missing.group(1).split(", ")
-        # Two positional arguments of a command can have the same name.
+        # Two positional arguments of a command can have equal names.
         names = [name for name in wanted if name not in optional] or wanted
         return UsageError("the argument is missing", key=", ".join(names))
     argument = re.match(r"argument (\S+): (.+)", message)
@@ -82,7 +82,7 @@ def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
-    """Add Hydra overrides and ``--config-dir``, the arguments of every command that composes a config."""
+    """Add arguments for Hydra overrides and ``--config-dir`` to the parser of a command that composes a config."""
     text = "task=stand, env.rewards.alive.weight=2, ~env.events.push_robot, +reward@env.rewards=action_rate, ..."
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
     add_config_dir(parser)
@@ -103,7 +103,7 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--config-dir``, which can be repeated."""
+    """Add the option ``--config-dir``; users can give the option several times in one command."""
     text = "a folder of your own configs, a project, or the name of an installed project, searched after the stock "
     text += "configs (repeatable); the project in the current folder is found without this option"
     parser.add_argument(
@@ -124,14 +124,14 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def print_json(document: Any) -> None:
     """Print one JSON document."""
     text = dump_json(document)
-    # Escape control characters in the value as JSON does, before the output stream escapes them.
+    # Write control characters as JSON escapes, because the output stream would escape them in a different way.
     if printable(text) != text:
         text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
     print(text, end="")
 
 
 def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
-    """Return the run's checkpoint of an iteration, at a path, or the last one; warn if the file was changed."""
+    """Return a run's checkpoint by iteration or path, by default the last checkpoint; warn if the file was changed."""
     if asked is None:
         checkpoint = directory.latest_checkpoint()
     elif asked.isdigit():
@@ -147,16 +147,17 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
 
 
 def source_document(source: Source) -> dict[str, Any]:
-    """Return the JSON document of one place that set a config value."""
+    """Return the file, line, or override that set a config value, as a JSON document."""
     file = None if source.file is None else str(source.file)
     facts = {"path": source.path, "value": source.value, "where": source.where}
     return {**facts, "file": file, "line": source.line, "override": source.override}
 
 
 def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
-    """Run a command in one of the processes that torchrun has started, and return the exit status.
+    """Run a command in this process, which torchrun has started as one of several, and return the exit status.
 
-    The function ``first`` runs on rank 0, and the silent function ``other`` runs on the ranks from 1.
+    The process with rank 0 calls the function ``first``. All other processes call the function ``other``, which prints
+    nothing.
     """
     from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 

@@ -30,9 +30,9 @@ def run(args: argparse.Namespace) -> int:
         name, _, value = text.partition("=")
         if not (name and value):
             expected = "SET=NAME, such as Physics=PhysX"
-            raise AssetError(f"'{text}' does not select a variant", key="--variant", expected=expected)
+            raise AssetError(f"'{text}' does not select a variant of a USD file", key="--variant", expected=expected)
         variants[name] = value
-    with StopRequest() as stop:  # The USD library swallows an interrupt during its import.
+    with StopRequest() as stop:  # The USD library ignores a Ctrl-C during its import.
         from wheelleg_exp.asset.convert_robot import convert
         from wheelleg_exp.asset.mjcf.preview_scene import write_scene
     stop.check()

@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate policies, print the metrics, store them in the runs, and compare several policies."""
+    """Evaluate one or several policies, print and store their metrics, and compare the policies with each other."""
     from wheelleg_exp.cli.printing.metric_tables import print_evaluation
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
 
@@ -88,7 +88,7 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return the named runs, each with its checkpoint; raise WheellegError if a run is named twice."""
+    """Return the runs with the given names, each with a checkpoint; raise WheellegError if a name occurs twice."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
@@ -102,7 +102,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
 def evaluated(
     args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
-    """Evaluate one run with the options of the command, or load its stored evaluation (``--kept``)."""
+    """Evaluate the policy of one run; with the option ``--kept``, load the run's stored evaluation instead."""
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
     if args.kept:
@@ -122,7 +122,7 @@ def evaluated(
 def reference_of(
     args: argparse.Namespace, made: Evaluated, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
-    """Evaluate the reference controller on the robot and task of an evaluated run."""
+    """Evaluate the linear-quadratic reference controller on the robot and task of an evaluated run."""
     from wheelleg_exp.inspection.evaluation_plots import draw
     from wheelleg_exp.jobs.evaluate_policy import evaluate_reference
 

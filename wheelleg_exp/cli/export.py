@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a bundle for deployment, and print how much its policies differ from the simulation."""
+    """Export a policy for deployment, and print how much one step of the exported files differs from the simulation."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)

@@ -1,7 +1,7 @@
 """``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
-``wheelleg inspect`` without an action prints a summary of the recording. Several actions of one command run in the
-order of ``ACTIONS``.
+``wheelleg inspect`` without an action prints a summary of the recording. If the command line requests several actions,
+the actions run in the order of the tuple ``ACTIONS``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Inspected:
-    """The recording and the rows that the command line selects."""
+    """The recording, and the rows of the recording, that the command line selects."""
 
     target: Target
     selection: Selection
@@ -37,7 +37,7 @@ class Inspected:
 
     @cached_property
     def recording(self) -> Recording:
-        """The recording, which is opened on first use."""
+        """The opened recording; the first access to this property opens the file."""
         from wheelleg_exp.recording.reading.recording_reader import Recording
 
         return Recording(self.target.path, recording_id=self.recording_id)
@@ -49,7 +49,7 @@ class Result:
 
     document: Any
     show: Callable[[], None]
-    status: int = EXIT_OK  # the command returns the highest status of its actions
+    status: int = EXIT_OK  # The command returns the highest exit status of its actions.
     notes: tuple[str, ...] = ()  # printed on standard error
 
 
@@ -113,18 +113,18 @@ def _add_picture_options(parser: argparse.ArgumentParser) -> None:
 
 def _count(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number of lines; expected 0 or more")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a valid number of lines; expected 0 or more")
     return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen actions. Without an action, print the summary, or the statistics if ``--term`` is given."""
+    """Run the requested actions; without an action, print the recording's summary or the statistics of ``--term``."""
     from wheelleg_exp.inspection.recording_target import find_target
 
     default = "stats" if args.term else "summary"
     chosen = [action for action in ACTIONS if _is_given(args, action.name)]
     chosen = chosen or [action for action in ACTIONS if action.name == default]
-    # Raise UsageError for an option that no chosen action reads.
+    # Raise UsageError for an option that none of the requested actions reads.
     used = {option for action in chosen for option in action.options}
     for option in dict.fromkeys(option for action in ACTIONS for option in action.options):
         if option not in used and _is_given(args, option):
@@ -164,7 +164,7 @@ def _selection_of(args: argparse.Namespace) -> Selection:
 
 
 def _other_recording(args: argparse.Namespace) -> Recording:
-    """Return the recording of the run in ``--compare``, which ``--play`` and ``--id`` select if possible."""
+    """Return the recording that ``--compare`` names; the options ``--play`` and ``--id`` also select this recording."""
     from wheelleg_exp.inspection.recording_target import find_target, names_a_run
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -193,7 +193,7 @@ def _statistics(args: argparse.Namespace, inspected: Inspected) -> Result:
 
     if not args.term:
         expected = "also --term NAME, such as rewards.base_height"
-        raise UsageError("no recorded number is selected", key="--stats", expected=expected)
+        raise UsageError("the name of a recorded number is missing", key="--stats", expected=expected)
     found = term_statistics(inspected.recording, args.term, inspected.selection)
     words = units(inspected.recording, found, inspected.selection.env_id)
     document = {name: {**value.as_dict(), "unit": words.get(name)} for name, value in found.items()}
@@ -285,7 +285,7 @@ def _export(args: argparse.Namespace, inspected: Inspected) -> Result:
 
     if args.output is None:
         expected = "also -o FILE with --term, otherwise -o FOLDER"
-        raise UsageError("no output file is given", key="--export", expected=expected)
+        raise UsageError("the path of the exported file is missing", key="--export", expected=expected)
     found = export(inspected.recording, args.export, args.output, terms=args.term, selection=inspected.selection)
     files = [{"path": str(e.path), "group": e.group, "rows": e.rows, "columns": e.columns} for e in found]
 
@@ -368,7 +368,7 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
 
 
 def _readable(inspected: Inspected) -> Path:
-    """Read a recording and return its path, because the reader reports damage better than rerun's viewer."""
+    """Return a recording's path after a test read, because rerun's viewer does not explain why a file is damaged."""
     return Path(inspected.recording.path)
 
 
@@ -376,8 +376,8 @@ def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:
     return Result({"path": str(path), **facts}, lambda: print(f"wrote {path}{text}"))
 
 
-_ROWS = ("env", "iteration", "begin", "end")  # The options that select rows of a recording.
-# The action 'web' is the last one, because rerun's viewer stays open.
+_ROWS = ("env", "iteration", "begin", "end")  # These options of ``wheelleg inspect`` select rows of a recording.
+# The action 'web' runs last, because its web server runs until the user stops the command.
 ACTIONS = (
     Action("repair", _repair, ("output",)),
     Action("summary", _summary, _ROWS),

@@ -19,8 +19,8 @@ from wheelleg_exp.run import run_list
 from wheelleg_exp.run.run_list import RunSummary, SweepSummary
 from wheelleg_exp.run.timestamps import utc_text
 
-_NEVER = datetime.min.replace(tzinfo=UTC)  # A run with an unknown start time is sorted as if it had this start time.
-_LEAST_ID = 16  # The id of a run is never cut to fewer characters.
+_NEVER = datetime.min.replace(tzinfo=UTC)  # This start time is used to sort a run whose start time is unknown.
+_LEAST_ID = 16  # A printed run id has at least this number of characters.
 _PROBLEMS_SHOWN = 10
 _LEGEND = (
     f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode ended by "
@@ -68,10 +68,10 @@ def run(args: argparse.Namespace) -> int:
     elif listed.no_rows and not rows:
         print(listed.no_rows)
     elif args.kind in ("runs", "sweeps"):
-        # Print a table of runs or sweeps, and below the table their problems and a legend.
+        # Print a table of runs or sweeps. Below the table, print the problems of the runs or sweeps, and a legend.
         width = max(screen_width() - table_width(listed.columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
         half = (width - 1) // 2
-        for row in rows:  # Cut the middle out of a run id that is too long, because run ids differ at their ends.
+        for row in rows:  # Replace the middle of a long run id by '…', because run ids differ mostly at their ends.
             text = str(row[0])
             row[0] = text if len(text) <= width else f"{text[: width - half - 1]}…{text[-half:]}"
         print_table(listed.columns, rows, lines=False)
@@ -125,7 +125,7 @@ def _terms(args: argparse.Namespace) -> Listed:
     from wheelleg_exp.config.explaining.catalog import MODULES, library, signature_of
     from wheelleg_exp.terms.term_binding import RESERVED, resolve_target
 
-    # A group has the name of its section without the plural: 'reward' of 'rewards'. Both names are accepted.
+    # The group 'reward' belongs to the config section 'rewards'. The command accepts the name of the group or section.
     section = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}.get(args.group)
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)
@@ -148,7 +148,7 @@ def _terms(args: argparse.Namespace) -> Listed:
 
 
 def _pipelines(args: argparse.Namespace) -> Listed:
-    """Return the declared pipelines, followed by the started pipelines with the newest first."""
+    """Return the pipelines that configs declare, followed by the started pipelines, the newest first."""
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_pipeline
     from wheelleg_exp.run.run_index import pipelines_below
     from wheelleg_exp.terms.key_syntax import PIPELINE
@@ -167,7 +167,7 @@ def _pipelines(args: argparse.Namespace) -> Listed:
 
 
 def _runs(args: argparse.Namespace) -> Listed:
-    """Return the table of runs. A sweep's table has the swept keys instead of ``task`` and ``resume``."""
+    """Return the table of runs. A sweep's table has columns for the swept keys, not for ``task`` and ``resume``."""
     folder = _runs_folder(args.root)
     every = run_list.list_runs(folder)
     if args.sweep is not None:
@@ -197,7 +197,7 @@ def _runs(args: argparse.Namespace) -> Listed:
         columns = ["id", *_short(keys), "status", *LISTED]
         values = [[own.values.get(key) for key in keys] for own in of_one_sweep]
         rows = [[row[0], *own, *row[2:-1]] for row, own in zip(rows, values, strict=True)]
-    # Omit empty columns of the table to have space for whole run ids, because users copy the ids.
+    # Omit empty columns of the table to make space for complete run ids, because users copy run ids.
     optional = ("played", "evaluated", "resume")
     used = [i for i, name in enumerate(columns) if name not in optional or any(row[i] is not None for row in rows)]
     columns, rows = [columns[i] for i in used], [[row[i] for i in used] for row in rows]
@@ -205,7 +205,7 @@ def _runs(args: argparse.Namespace) -> Listed:
 
 
 def _short(keys: Sequence[str]) -> list[str]:
-    """Shorten dotted config keys from the left, so that they still differ from each other and from the column names."""
+    """Shorten dotted config keys to their last parts; each short key differs from all other keys and column titles."""
     taken = {"id", "status", *LISTED}
 
     def name(key: str, parts: int) -> str:
@@ -228,12 +228,12 @@ def _sweeps(args: argparse.Namespace) -> Listed:
 
 
 def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
-    """Return the JSON document of a run or sweep. A fact that a damaged file hides is null."""
+    """Return a run or sweep as a JSON document. A value that cannot be read from a damaged file is null."""
     return {**asdict(summary), "started": None if summary.started == _NEVER else utc_text(summary.started)}
 
 
 def _runs_folder(root: Path | None) -> Path:
-    """Return the folder of all runs; raise WheellegError if the given folder does not exist."""
+    """Return the folder of all runs; raise WheellegError if the folder given in ``--root`` does not exist."""
     if root is None or root.is_dir():
         return root or Path("runs")
     parent = root.absolute().parent
@@ -266,7 +266,7 @@ def _percent(value: Any) -> str | None:
 
 
 def _survived(played: Mapping[str, Any]) -> str | None:
-    """Return the surviving and the ended episodes of a play, ``60/64``, or the surviving share if both are missing."""
+    """Return survived and ended episodes of a play, such as ``60/64``; without the counts, return the survival rate."""
     survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
     if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
         return _percent(survival)
@@ -275,7 +275,7 @@ def _survived(played: Mapping[str, Any]) -> str | None:
 
 
 def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
-    """Return an evaluation's protocol and the surviving share of its first test, ``walk 100.0%``."""
+    """Return the protocol of an evaluation and the survival rate of the first test as text, such as ``walk 100.0%``."""
     metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
     if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
         return None

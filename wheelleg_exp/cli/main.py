@@ -39,8 +39,8 @@ class Command:
 
     module: str
     help: str
-    run: str = "run"  # the function that runs the command and returns its exit status
-    project: bool = True  # whether the command reads the project in the current folder
+    run: str = "run"  # The name of the function that runs the command and returns the exit status.
+    project: bool = True  # Whether the command reads the configs of the project in the current folder.
 
 
 COMMANDS: dict[str, Command] = {
@@ -73,7 +73,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status; ``argv`` contains the words after ``wheelleg``."""
+    """Run one command and return its exit status; ``argv`` contains the command-line words after ``wheelleg``."""
     prepare_threads()
     if argv is None:
         # Run Python's garbage collector after 10,000 new objects instead of hundreds, but not when the process ends.
@@ -95,7 +95,7 @@ def _answer(words: list[str], debug: bool) -> int:
         return _failed("interrupted", EXIT_INTERRUPTED, debug)
     except WheellegError as error:
         return _failed(str(error), error.exit_code, debug)
-    except BaseException as error:  # The user's module can also raise SystemExit during its import.
+    except BaseException as error:  # A user-defined module can also raise SystemExit during its import.
         hint = "" if debug else " (--debug shows the traceback)"
         return _failed(f"{in_words(error)}{hint}", EXIT_FAILED, debug)
 
@@ -111,7 +111,7 @@ def _dispatch(words: list[str]) -> int:
     command = COMMANDS.get(name)
     if command is None:
         nearest = nearest_name(name, [*COMMANDS, "--version", "--help"])
-        raise UsageError("wheelleg has no command with this name", key=name, expected=commands, nearest=nearest)
+        raise UsageError("wheelleg has no command with the given name", key=name, expected=commands, nearest=nearest)
     module = import_module(f"wheelleg_exp.cli.{command.module}")
     parser = Parser(prog=f"wheelleg {name}", description=f"{command.help[0].upper()}{command.help[1:]}.")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -126,13 +126,13 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Add configs and terms of the current folder's project; a training trusts code in ``--config-dir``."""
+    """Load the project in the current folder; ``train`` and ``resume`` also trust the code in ``--config-dir``."""
     if hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
         if args.command[1] in ("train", "resume"):
             trust(args.config_dirs[:named])
         return
-    with suppress(ConfigError):  # A command that reads no configs ignores a broken project.
+    with suppress(ConfigError):  # A command that reads no configs ignores errors in the user's project.
         with_current([])
 
 
@@ -167,7 +167,7 @@ def _failed(message: str, status: int, debug: bool) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C in the block. Only the main thread can set signal handlers."""
+    """Make SIGTERM and SIGHUP act like Ctrl-C inside the block. Only the main thread can set signal handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""The command ``wheelleg play RUN``, also with ``--drive`` and ``--script FILE``."""
+"""Define the command ``wheelleg play RUN`` with its options ``--drive`` and ``--script FILE``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play a policy for one episode, print the figures and record it."""
+    """Simulate one episode with a trained policy, record the episode, and print its performance figures."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         return _run_drive(args, directory, checkpoint)
     for option, value in (("--scene", args.scene), ("--port", args.port)):
         if value is not None:
-            raise UsageError("the option applies only to driving", key=option, expected="also --drive or --script FILE")
+            raise UsageError("the option needs --drive/--script", key=option, expected="also --drive or --script FILE")
 
     from wheelleg_exp.cli.printing.metric_tables import print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Restore the source of a run, train the run again, compare the runs, and print the result."""
+    """Restore the source code of a run, repeat the training, and print how the new run differs from the original."""
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:

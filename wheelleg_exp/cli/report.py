@@ -1,4 +1,4 @@
-"""``wheelleg report RUN``, of one run or of several."""
+"""Define the command ``wheelleg report RUN``, which writes a report about one or several runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the HTML report and print its path."""
+    """Write the HTML report and print the path of the HTML file."""
     from wheelleg_exp.report import make_report
 
     made = make_report(args.run, args.root, args.output, args.command, pictures=not args.no_pictures)

@@ -33,11 +33,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate runs and write a table of their results, or reproduce a written table."""
+    """Evaluate runs and write a table of their results; with ``--again``, reproduce an existing table of results."""
     from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:
-        raise WheellegError(f"{args.name!r} is not a valid name for a page", key="NAME", expected=NAME_WORDS)
+        raise WheellegError(f"{args.name!r} is not a valid name for a results page", key="NAME", expected=NAME_WORDS)
     return _again(args) if args.again else _write(args)
 
 
@@ -54,10 +54,10 @@ def _write(args: argparse.Namespace) -> int:
     names = [word for word in args.runs if not is_override(word)]
     words = [word for word in args.runs if is_override(word)]
     if not names:
-        raise WheellegError("the command line has no run", key="RUN", expected="the runs of the table")
+        raise WheellegError("the command line names no run to evaluate", key="RUN", expected="the runs of the table")
     earlier_manifests(args.name, args.into)  # Do not overwrite a file that is not a results page.
     chosen = found(args, names)
-    require_one_method([directory for directory, _ in chosen])  # Refuse a run that cannot be reproduced.
+    require_one_method([directory for directory, _ in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
@@ -84,7 +84,7 @@ def _again(args: argparse.Namespace) -> int:
         known = ", ".join(pages) or "(there are none)"
         expected = f"names of results with --again, no runs and no overrides: {known}"
         raise WheellegError(message, key="NAME", expected=expected, nearest=nearest_name(missing[0], pages))
-    # A broken record raises before the first training.
+    # Read all records first, so that a damaged record raises an error before the first training.
     records = {name: read_result(name, args.into) for name in names}
     differ = False
     trained: dict[str, RunDirectory] = {}

@@ -1,4 +1,4 @@
-"""The command ``wheelleg train``, and the result texts of all commands that train."""
+"""Define the command ``wheelleg train``, and print the results for all commands that train."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    """Train one run; with several processes, on rank 0."""
+    """Train one run in this process, which has rank 0 if the training uses several processes."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed() if ranks else nullcontext():
@@ -75,7 +75,7 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
 
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
-    """Train one run on a rank from 1."""
+    """Take part in the training of one run as a process whose rank is not 0."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed():
@@ -95,7 +95,7 @@ def _digests(composed: Composed) -> dict[str, str]:
 
 
 def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
-    """Train a prepared run; return its results, or print the command that resumes it and return None."""
+    """Train a prepared run and return the results; after an interrupt, print a resume command and return None."""
     from wheelleg_exp.jobs.train.run_training import run
     from wheelleg_exp.run.run_directory import FAILURE
 
@@ -117,7 +117,7 @@ def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, 
 
 
 def resume_hint(directory: RunDirectory) -> str:
-    """Return a line with the command that resumes a run."""
+    """Return a line of text with the command that resumes a run."""
     return f"resume with: {tool('wheelleg')} resume {shown(directory.path)}"
 
 

@@ -43,7 +43,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         from wheelleg_exp.jobs.sweep_queue import make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
 
-        # The folders for ``--config-dir``, without the current project's folder, which needs no option.
+        # Collect the folders for ``--config-dir``, except the current project's folder, which is always searched.
         own: list[Path] = []
         with suppress(ConfigError):
             own = with_current([])
@@ -81,7 +81,7 @@ def _at_once(sweep: Sweep) -> int:
 
 
 def _joblib() -> ModuleType:
-    """Import joblib, and unset the environment variables that joblib sets, because sweep jobs would inherit them."""
+    """Import joblib, and unset the environment variables that joblib sets, so that sweep jobs do not inherit them."""
     before = set(os.environ)
     import joblib
 
@@ -109,10 +109,10 @@ def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
 
 
 def _crowded(sweep: Sweep, at_once: int) -> str | None:
-    """Return a warning if the jobs on this machine use more threads than the machine has cores."""
+    """Return a warning if the sweep jobs on this machine use more threads than the machine has cores."""
     from wheelleg_exp.config.composing.compose_sweep import QUEUES
 
-    # A job queue such as Slurm runs the jobs on other machines or limits their cores.
+    # A job queue such as Slurm runs the jobs on other machines or limits the number of cores for each job.
     if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":
         return None
     cores = int(_joblib().cpu_count())

@@ -21,18 +21,18 @@ import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
 from wheelleg_exp.run.git_commands import without_credentials
 
-# The distributions whose version can change a number or a file of a run.
+# The versions of these Python distributions can change a number or a file of a run.
 _DISTRIBUTIONS = (
     *("wheelleg_exp", "mujoco", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core", "omegaconf"),
     *("usd-core", "rerun-sdk", "tensorboard", "onnx"),
 )
 
-# Environment variables with these prefixes change numbers or threads.
+# Environment variables with these prefixes change computed numbers or the number of threads.
 _NUMERICAL = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
     *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
 )
-# Environment variables with these prefixes choose devices or code.
+# Environment variables with these prefixes select the devices or the code that a process uses.
 _OF_MACHINE = (
     *("TRITON", "RSL_RL", "CUDA", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
@@ -42,7 +42,7 @@ _VARIABLES = re.compile(
     rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
 
-# The values of these variables are not stored, although NVIDIA_API_KEY matches the patterns above.
+# Environment variables whose name matches this pattern can contain secrets, so their values are not stored.
 _SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY")
 
 _REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
@@ -51,7 +51,7 @@ _CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of Python and of the relevant distributions; None for a missing distribution."""
+    """Return the versions of Python and of the distributions that affect a run; None for a missing distribution."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in _DISTRIBUTIONS:
         try:
@@ -63,10 +63,10 @@ def versions() -> dict[str, str | None]:
 
 
 def hardware() -> dict[str, Any]:
-    """Return the CPU's model and vector instructions, the numbers of cores, the size of the memory, and the platform.
+    """Return the CPU's model and vector instructions, the number of CPU cores, the memory size, and the platform.
 
     The value ``cores_usable`` is the number of CPU cores that this process can use within its container's limit. The
-    key ``torch_cpu_capability`` exists only if torch is already imported.
+    result has the key ``torch_cpu_capability`` only if torch is already imported.
     """
     memory = None
     with suppress(OSError):
@@ -90,8 +90,8 @@ def hardware() -> dict[str, Any]:
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
     """Return the environment variables that can change results, sorted by name.
 
-    The argument ``also`` contains further variable names, such as those that a config requests. Variables whose name
-    suggests a secret are left out.
+    The argument ``also`` contains the names of additional variables, such as variables that a config requests.
+    A variable whose name contains a word such as ``TOKEN`` or ``PASSW`` is left out.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
@@ -102,10 +102,11 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
 def replay_environ(
     recorded: Mapping[str, str], environ: Mapping[str, str] | None = None, also: Collection[str] = ()
 ) -> dict[str, str]:
-    """Return the environment for a process that must compute the same numbers as a run.
+    """Return the environment variables for a process that must compute the same numbers as a recorded run.
 
-    Variables that change numbers, and the variables in ``also``, get the run's recorded values. A variable that the run
-    did not have is unset. The values of the remaining variables (paths, devices, preloaded libraries) do not change.
+    Variables that change numbers, and the variables in ``also``, get the run's recorded values. A variable that changes
+    numbers and that the run did not have is unset. The values of the remaining variables (paths, devices, preloaded
+    libraries) do not change.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
@@ -123,16 +124,15 @@ def requested_variables(texts: Iterable[str]) -> list[str]:
 
 def distributions() -> list[str]:
     """Return ``name==version`` of every installed distribution, sorted, including local version labels."""
-    # A distribution that was not installed from an index has a comment with its origin.
+    # Write a comment with the origin of a distribution that was not installed from a package index.
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
-        # Read only the header of each metadata file, because parsing 100 descriptions takes 1 s.
+        # Read only the header of each metadata file, because parsing the descriptions of 100 packages takes 1 s.
         text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
         head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
         if "Name" in head:  # A broken installation can leave a distribution's folder without metadata.
             key = re.sub(r"[-_.]+", "-", head["Name"]).lower()
-            # Python imports the first distribution on ``sys.path``, so later distributions of the same name are
-            # ignored.
+            # Ignore later distributions of one name, because Python imports the first on ``sys.path``.
             found.setdefault(key, f"{head['Name']}=={head.get('Version', '')}{_origin(distribution)}")
     return [found[key] for key in sorted(found)]
 
@@ -159,7 +159,7 @@ def environment_text(threads: Mapping[str, Any]) -> str:
 
 
 def _origin(distribution: metadata.Distribution) -> str:
-    """Return a comment for a distribution installed from a folder, an archive or a repository (PEP 610)."""
+    """Return a comment with the origin of a distribution from a folder, an archive or a repository (PEP 610)."""
     text = distribution.read_text("direct_url.json")
     if not text:
         return ""

@@ -26,25 +26,25 @@ class FileRecord(TypedDict):
 
 @dataclass
 class FileFindings:
-    """The differences between a run's files and its manifest, as sorted relative paths."""
+    """The sorted relative paths of the files that differ from a run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # also files that were replaced by a link
+    missing: list[str] = field(default_factory=list)  # A file that was replaced by a symbolic link is also missing.
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=list)  # symbolic links that the manifest does not name
+    links: list[str] = field(default_factory=list)  # The symbolic links that the manifest does not name.
 
     def __bool__(self) -> bool:
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
-    """Return records of files at or below ``directory`` by relative path, without manifest, locks, and temporaries."""
+    """Return the size and sha256 of each file below ``directory``, except the manifest, locks, and temporary files."""
     return record_files(directory, _files(directory))
 
 
 def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord]:
-    """Return the records of files below ``directory``, sorted by relative path."""
+    """Return the size and sha256 of the given files below ``directory``, sorted by relative path."""
     records: dict[str, FileRecord] = {}
     for name in sorted({relative_name(directory, path) for path in paths}):
         digest = sha256(directory / name)
@@ -54,7 +54,7 @@ def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord
 
 
 def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
-    """Compare the files of ``directory`` with their records."""
+    """Compare the files of ``directory`` with the recorded sizes and digests."""
     present = {relative_name(directory, path) for path in _files(directory)}
     found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
     for name in sorted(present & set(recorded)):
@@ -72,9 +72,9 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 
 
 def odd_entries(directory: Path) -> dict[str, str]:
-    """Return the entries below ``directory`` that are neither folders nor regular files, and their kinds, by name."""
-    # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end. Files that
-    # disappear are ignored.
+    """Return the names and types of entries below ``directory`` that are neither folders nor regular files."""
+    # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end.
+    # Files that are deleted during the search are ignored.
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):
@@ -90,20 +90,20 @@ def odd_entries(directory: Path) -> dict[str, str]:
 
 
 def relative_name(directory: Path, path: Path) -> str:
-    """Return ``path`` relative to ``directory``, with forward slashes; raise RunDirectoryError if it is outside.
+    """Return ``path`` relative to ``directory``, with forward slashes; raise RunDirectoryError for a path outside.
 
-    A relative ``path`` is resolved from the working directory if the result is below ``directory``, else from
+    A relative ``path`` starts at the working directory if the result is below ``directory``, otherwise at
     ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):
         if full.is_relative_to(base):
             return full.relative_to(base).as_posix()
-    raise RunDirectoryError(f"'{path}' is outside the run directory", expected=f"a path below '{directory}'")
+    raise RunDirectoryError(f"the path '{path}' is outside the run directory", expected=f"a path below '{directory}'")
 
 
 def is_inside(name: str) -> bool:
-    """Return whether a recorded relative name stays below its directory."""
+    """Return whether a recorded relative path stays inside its directory."""
     path = PurePosixPath(name)
     return bool(name) and not path.is_absolute() and ".." not in path.parts and not {"\\", "\0"} & set(name)
 

@@ -1,4 +1,4 @@
-"""Run git commands that neither change a repository nor run a program named in its settings."""
+"""Run git commands without changing the repository, and without running programs named in the git settings."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from urllib.parse import urlsplit, urlunsplit
 
 _TIMEOUT_S = 300
 
-# Git's ids are 40 hexadecimal digits, or 64 in a repository of sha256.
+# A git object id has 40 hexadecimal digits, or 64 in a repository that uses sha256.
 OBJECT_ID = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
 
-# These variables redirect a git command to a foreign repository or index. A git hook sets some of these variables.
+# These environment variables redirect a git command to another repository or index. A git hook sets some of them.
 _MISLEADING = (
     *("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX"),
     *("GIT_ALTERNATE_OBJECT_DIRECTORIES", "GIT_NAMESPACE", "GIT_EXTERNAL_DIFF", "GIT_DIFF_OPTS"),
     *("GIT_LITERAL_PATHSPECS", "GIT_GLOB_PATHSPECS", "GIT_NOGLOB_PATHSPECS", "GIT_ICASE_PATHSPECS"),
 )
 
-# Without these settings, a git command can write into the repository or run a user-defined program.
+# These git settings prevent that a git command writes into the repository or runs a user-defined program.
 _SETTINGS = dict.fromkeys(("core.fsmonitor", "core.splitIndex", "core.untrackedCache", "core.safecrlf"), "false")
 _SETTINGS |= {"core.hooksPath": os.devnull, "gc.auto": "0"}
 
-# Git must neither prompt nor download the objects that a partial clone lacks. The repository's settings name the
-# program that downloads these objects, and that program cannot be trusted.
+# Git must neither prompt for input nor download the objects that a partial clone lacks.
+# A download could run an untrusted program that the repository's settings name.
 _ALONE = {"LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "GIT_ALLOW_PROTOCOL": ""}
 
 
 class GitError(Exception):
-    """Raised for a failed git command, with git's own message."""
+    """A git command failed; the message of this exception is git's error message."""
 
 
 class GitMissing(GitError):
@@ -48,8 +48,8 @@ class Repository:
     """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)  # additional variables, such as the path of a temporary index
-    settings: dict[str, str] = field(default_factory=dict)  # override the git settings of repository and user
+    environ: dict[str, str] = field(default_factory=dict)  # Additional environment variables of git commands.
+    settings: dict[str, str] = field(default_factory=dict)  # Replace git settings of the repository and the user.
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return its output; raise GitError if the command fails."""
@@ -67,7 +67,7 @@ class Repository:
             return None
 
     def paths(self, *arguments: str) -> list[str]:
-        """Run one git command that prints NUL-ended paths, and return the paths."""
+        """Run one git command that prints a NUL byte after each path, and return the paths."""
         return split_nul(self.run(*arguments))
 
 
@@ -78,9 +78,9 @@ def run_git(
     environ: dict[str, str] | None = None,
     settings: dict[str, str] | None = None,
 ) -> bytes:
-    """Run one git command in ``folder``, like ``Repository.run``."""
+    """Run one git command in ``folder`` and return its output; raise GitError if the command fails."""
     kept = {k: v for k, v in os.environ.items() if k not in _MISLEADING} | _ALONE
-    # Override the settings with variables, because ``git -c`` does not accept a name that contains ``=``.
+    # Set git settings by environment variables, because ``git -c`` does not accept a name that contains ``=``.
     first = int(kept.get("GIT_CONFIG_COUNT") or 0)
     overridden = {**_SETTINGS, **(settings or {})}
     kept["GIT_CONFIG_COUNT"] = str(first + len(overridden))
@@ -92,7 +92,7 @@ def run_git(
     except FileNotFoundError:
         if folder.is_dir():
             raise GitMissing("git is not installed") from None
-        raise GitError(f"the folder '{folder}' does not exist") from None
+        raise GitError(f"the folder '{folder}' for the git command does not exist") from None
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         raise GitError(f"git failed: {error}") from error
     if done.returncode != 0:
@@ -104,18 +104,18 @@ def run_git(
 
 
 def split_nul(output: bytes) -> list[str]:
-    """Return the NUL-ended names in git's output; bytes that are not UTF-8 become surrogates."""
+    """Return the NUL-terminated names in the output of git; bytes that are not UTF-8 become surrogate characters."""
     return [os.fsdecode(part) for part in output.split(b"\0") if part]
 
 
 def join_nul(names: Iterable[str]) -> bytes:
-    """Return names as NUL-ended input of git."""
+    """Join file names with a NUL byte after each name, as git reads them from standard input."""
     return b"".join(os.fsencode(name) + b"\0" for name in names)
 
 
 @contextmanager
 def scratch_index(repository: Repository) -> Iterator[Repository]:
-    """Yield a repository of this working tree, with a temporary copy of its index and a temporary object store.
+    """Yield a copy of ``repository`` that uses a temporary copy of the index and a temporary object store.
 
     The user's index and object store do not change. No git filter program runs, so git adds the bytes on the disk.
     """
@@ -126,8 +126,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
         (scratch / "objects" / "info").mkdir(parents=True)
         (scratch / "objects" / "info" / "alternates").write_bytes(os.fsencode(objects.resolve()) + b"\n")
         if index.is_file():
-            # copy2 preserves the index's modification time. Git compares this time with the times of the files to find
-            # changed files.
+            # Preserve the modification time of the index, because git finds changed files by this time.
             shutil.copy2(index, scratch / "index")
         environ = {"GIT_INDEX_FILE": str(scratch / "index"), "GIT_OBJECT_DIRECTORY": str(scratch / "objects")}
         off = {"clean": "", "smudge": "", "process": "", "required": "false"}
@@ -136,13 +135,13 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
 
 
 def filters(repository: Repository) -> list[str]:
-    """Return the names of the git filters that run a program on files on their way into git."""
+    """Return the names of the git filters that run a program when git adds a file."""
     output = repository.maybe("config", "--name-only", "--get-regexp", r"^filter\..*\.(clean|process)$") or ""
     return sorted({line.removeprefix("filter.").rpartition(".")[0] for line in output.splitlines()})
 
 
 def without_credentials(url: str) -> str:
-    """Return a URL without password, query, and fragment, and without the user unless the scheme is ``ssh``.
+    """Return a URL without password, query, and fragment; keep the user name only for ``ssh`` URLs.
 
     The short form ``git@host:path`` and local paths have no credentials and are returned unchanged.
     """

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# Scalars with this prefix are wall-clock times. No other scalar differs between two equal runs.
+# Scalars with this prefix are wall-clock times. All other scalars are equal in two equal runs.
 _TIMES = "Perf/"
 
 
@@ -20,10 +20,10 @@ class Line:
 
     iteration: int
     digests: dict[str, str]  # by name
-    scalars: dict[str, Any]  # by name, without wall-clock times
-    digest_format: int | None = None  # the version of the digests' definition
+    scalars: dict[str, Any]  # The scalars of the iteration by name, without wall-clock times.
+    digest_format: int | None = None  # The version of the algorithm that computes the digests.
     content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
-    end: int = 0  # file position of the line's end, bytes
+    end: int = 0  # The position after the log line in the file, in bytes.
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class IterationLog:
 
     lines: list[Line] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
-    cut_off: bool = False  # whether the last line has no newline, as after a crash
+    cut_off: bool = False  # Whether the last line has no newline, for example after a crash.
 
 
 def read_log(path: Path) -> IterationLog:
@@ -54,12 +54,12 @@ def read_log(path: Path) -> IterationLog:
         else:
             kind = "repeats" if line.iteration < expected else "leaves a gap:"
             log.problems.append(f"line {number} {kind} iteration {line.iteration}, where {expected} was expected")
-        break  # Log lines after a damaged line could have a wrong iteration number.
+        break  # Stop here, because log lines after a damaged line could have a wrong iteration number.
     return log
 
 
 def seconds_of(lines: Iterable[Mapping[str, Any]]) -> float:
-    """Return the training time of iterations in s, without building, exporting, and the pauses before a resume."""
+    """Return the time spent in training iterations, s; exclude setup, export, and pauses before a resume."""
     times = [line["scalars"].get(_TIMES + key) for line in lines for key in ("collection_time", "learning_time")]
     return float(sum(value for value in times if isinstance(value, (int, float))))
 

@@ -1,7 +1,7 @@
 """``manifest.json`` of a run: its settings, its end, and the digest of every file that the run wrote.
 
-The last key of ``manifest.json``, ``sha256``, is the digest of the file's own bytes and reveals a changed byte. The
-type of every value is checked before the value is used.
+The last key of ``manifest.json`` is ``sha256``, the digest of the file's own bytes; the digest reveals a changed byte.
+The type of every value is checked before the value is used.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from wheelleg_exp.user_exceptions import is_interrupt
 
 @dataclass(frozen=True)
 class Optional:
-    """The type of a manifest value that can be missing or null."""
+    """Marks the type of a manifest value that can be missing or null."""
 
     kind: Any
 
 
 def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
-    """Yield the keys at or below ``path`` whose values have the wrong type.
+    """Yield the key ``path``, or the keys below ``path``, whose values have the wrong type.
 
     A kind is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
-    kinds. A mapping's key without a kind can have any value.
+    kinds. A key of a mapping for which no kind is given can have any value.
     """
     if isinstance(kind, Optional):
         if value is not None:
@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # A digest in a manifest of format 1 is computed from the values and not from the bytes.
+FORMAT_WITH_VALUE_DIGEST = 1  # In format 1, the digest is computed from the values, not the bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -110,10 +110,10 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 
 
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
-    """Return the document as JSON whose last key, ``sha256``, is the digest of all bytes of the text.
+    """Return a document as JSON text whose last key, ``sha256``, is the digest of all bytes of this text.
 
-    The digest is computed from the text with 64 zeros in place of the digest. If ``broken`` is true, the text has zeros
-    instead of a digest: the old document did not match its digest, and a new digest would hide the change.
+    To compute the digest, 64 zeros take the place of the digest in the JSON text. If ``broken`` is true, the text has
+    zeros instead of a digest: the old document did not match its digest, and a new digest would hide the change.
     """
     text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -122,7 +122,7 @@ def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> st
 
 
 def bytes_match_digest(data: bytes) -> bool:
-    """Return whether bytes are, byte for byte, a text that ``text_with_digest`` returned."""
+    """Return whether the bytes are exactly a text that the function ``text_with_digest`` returned."""
     found = _END.search(data)
     if found is None:
         return False
@@ -132,7 +132,7 @@ def bytes_match_digest(data: bytes) -> bool:
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
     """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest."""
-    # Format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
+    # Manifest format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
     text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)
@@ -145,7 +145,7 @@ def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# Files that a run writes only before its first step. All other files of the run can grow during the training.
+# A run writes these files only before its first step. All other files of the run can grow during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
 # A resume replaces these manifest keys and stores their old values in ``resumes``.
@@ -155,7 +155,7 @@ _PROCESS_KEYS = (
 )
 
 _LOCK_TIMEOUT_S = 20.0
-# The manifest's entry of a resume has this key until the resume has written its changed snapshot files.
+# A resume's entry in the manifest has this key until the resume has written the changed snapshot files.
 _PENDING = "files_to_write"
 
 
@@ -177,10 +177,10 @@ class Manifest:
         threads: Mapping[str, Any],
         now: datetime | None = None,
     ) -> Manifest:
-        """Write the first manifest of a run, with status ``running`` and the present files."""
+        """Write the first manifest of a run, with status ``running`` and the files that already exist."""
         path = directory / MANIFEST_NAME
         if path.exists():
-            raise RunDirectoryError(f"'{directory}' already contains a run", expected="a new run directory")
+            raise RunDirectoryError(f"the folder '{directory}' already contains a run", expected="a new run directory")
         manifest = cls(path)
         manifest.data = {
             "format": FORMAT,
@@ -222,7 +222,7 @@ class Manifest:
             expected = f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it"
             raise RunDirectoryError(f"manifest format {data['format']!r} is unknown", where=where, expected=expected)
         for wrong in mistyped_keys(data, _MANIFEST):
-            raise RunDirectoryError(f"broken manifest: '{wrong}' is missing or wrong", where=where)
+            raise RunDirectoryError(f"broken manifest: the key '{wrong}' is missing or has a wrong value", where=where)
         if data["status"] not in STATUSES:
             message, nearest = f"status '{data['status']}' is not known", nearest_name(data["status"], STATUSES)
             raise RunDirectoryError(message, where=where, expected="one of " + ", ".join(STATUSES), nearest=nearest)
@@ -231,13 +231,13 @@ class Manifest:
             try:
                 parse_utc(text)
             except ValueError:
-                raise RunDirectoryError(f"broken manifest: {text!r} is not a time", where=where) from None
+                raise RunDirectoryError(f"broken manifest: {text!r} is not a UTC time", where=where) from None
         tables = [data["files"], *(entry["files"] for entry in data["additions"])]
         for entry in data["resumes"]:
             tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
         for name in (name for table in tables for name in table):
             if not is_inside(name):
-                raise RunDirectoryError(f"the manifest names {name!r}, which is outside its directory", where=where)
+                raise RunDirectoryError(f"the manifest names the file {name!r} outside its directory", where=where)
         return cls(path, data)
 
     @property
@@ -247,7 +247,7 @@ class Manifest:
 
     @property
     def status(self) -> str:
-        """The recorded status, one of ``STATUSES``. A killed run still has the status ``running``."""
+        """The recorded status of the run, one of ``STATUSES``. A killed run still has the status ``running``."""
         return str(self.data["status"])
 
     @property
@@ -261,7 +261,7 @@ class Manifest:
         return self.data["results"]
 
     def matches_digest(self) -> bool | None:
-        """Return whether the file matches its own digest; None for a file of format 1 without a digest."""
+        """Return whether the manifest file matches its own digest; None for a manifest of format 1 without a digest."""
         if self.data["format"] == FORMAT_WITH_VALUE_DIGEST:
             return values_match_digest(self.data)
         with for_people(self.path, "read"):
@@ -284,10 +284,10 @@ class Manifest:
         *,
         now: datetime | None = None,
     ) -> None:
-        """Record how the run ended, and the digests of all files of the run, which must be closed.
+        """Record how the run ended, and the digests of all files of the run; all these files must be closed.
 
-        The argument ``results`` is merged into the run's recorded results. The argument ``error`` is the exception that
-        made the run fail.
+        The entries of the argument ``results`` are added to the run's recorded results. The argument ``error`` is the
+        exception that made the run fail.
         """
 
         def change(data: dict[str, Any]) -> None:
@@ -311,9 +311,9 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        The manifest's entry in ``resumes`` stores the old values of the replaced keys, and the ``facts`` about the
-        resume. The argument ``texts`` contains, by relative name, the new contents of the snapshot files that the
-        overrides change.
+        The new entry in the manifest's list ``resumes`` stores the old values of the replaced manifest keys, and the
+        ``facts`` about the resume. The argument ``texts`` contains, by relative name, the new contents of the snapshot
+        files that the overrides change.
         """
         texts = dict(texts or {})
 
@@ -334,7 +334,7 @@ class Manifest:
         self.write_pending()
 
     def write_pending(self) -> None:
-        """Write the snapshot files that the last resume changes, if that resume crashed before writing them."""
+        """Write the changed snapshot files of the last resume if the resume crashed before writing its files."""
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
@@ -342,7 +342,7 @@ class Manifest:
             self._update(lambda data: data["resumes"][-1].pop(_PENDING, None))
 
     def amend_resume(self, **facts: Any) -> None:
-        """Add facts to the entry of the last resume."""
+        """Add facts to the entry of the last resume in the manifest."""
         self._update(lambda data: data["resumes"][-1].update(json_plain(facts)))
 
     def record(self, **facts: Any) -> None:
@@ -358,9 +358,10 @@ class Manifest:
         command: Sequence[str] | None = None,
         now: datetime | None = None,
     ) -> dict[str, Any]:
-        """Record the files and results that a command adds to the ended run, and return the manifest's new entry.
+        """Record the files and results that a command adds to a run that has ended; return the new manifest entry.
 
-        The kind of an addition is ``play``, ``evaluation``, or ``export``. The files must be below the run directory.
+        The argument ``kind`` is ``play``, ``evaluation``, or ``export``. All added files must be below the run
+        directory.
         """
         words = list(sys.argv if command is None else command)
         entry: dict[str, Any] = {"kind": kind, "when": utc_text(now or utc_now()), "command": words}
@@ -372,18 +373,18 @@ class Manifest:
         """Return the newest record of every file of the run, including the files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        # The run recorded all its files when it ended, so only files of later commands have newer records.
+        # The run recorded all its files when the run ended, so only files of later commands have newer records.
         earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
         later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
-        """Return whether a file of the run matches its newest record, or has no record."""
+        """Return whether a file of the run matches its newest recorded digest; True if no digest is recorded."""
         record = self.recorded_files().get(path.name)
         return record is None or record["sha256"] == sha256(path)
 
     def compare_files(self) -> FileFindings:
-        """Compare the files on the disk with their newest records."""
+        """Compare the run's files on the disk with their newest digests in the manifest."""
         return compare_files(self.directory, self.recorded_files())
 
     @contextlib.contextmanager
@@ -401,7 +402,7 @@ class Manifest:
 
     @contextlib.contextmanager
     def failing(self, results: Mapping[str, Any] | None = None) -> Iterator[None]:
-        """Record the end of the run, like ``finishing``, but only if the block raises."""
+        """Record the end of the run as ``finishing`` does, but only if the ``with`` block raises an exception."""
         try:
             yield
         except BaseException as error:
@@ -415,7 +416,7 @@ class Manifest:
     def _update(self, change: Callable[[dict[str, Any]], None]) -> None:
         with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
             before = Manifest.load(self.directory)
-            # A new digest would hide that the manifest was changed by hand.
+            # Write no new digest if the manifest was changed by hand, because a new digest would hide the change.
             was_changed = before.matches_digest() is False
             data = before.data
             change(data)

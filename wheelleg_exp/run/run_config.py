@@ -1,10 +1,10 @@
 """Read the parameters, config, overrides, and robot from which a run was built.
 
 ``params/env.yaml`` and ``params/agent.yaml`` contain all parameters that rebuild the environment and agent of the run.
-Hydra's ``.hydra/config.yaml`` contains unresolved ``${...}``, and an untrusted person may have written it. The
-interpolations are resolved from the config's own keys and from the environment variables stored with the run. The
-resolution reads no environment variable of this process and calls no user-defined resolver. Recorded overrides can only
-change config values, and not Hydra's own settings.
+Hydra's ``.hydra/config.yaml`` contains unresolved ``${...}``, and an untrusted person may have written it. Each
+``${...}`` is resolved from the config's own keys and from the environment variables stored with the run. Resolving
+reads no environment variable of this process and calls no user-defined resolver. Recorded overrides can change config
+values, but not Hydra's own settings.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads"
 
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
-    """Raise RunDirectoryError with the key of a value that contains ``${``; parameters must be plain values."""
+    """Raise RunDirectoryError if a parameter contains ``${``, because a run stores parameters with resolved values."""
     for key in _unresolved(params, ""):
         message = "the value contains '${', but parameters are not resolved again"
         raise RunDirectoryError(message, key=key, where=where, expected="a plain value")
@@ -51,13 +51,13 @@ def _unresolved(value: Any, key: str) -> Iterator[str]:
 
 
 def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
-    """Write both parameter files below ``directory/params``; write neither if a value is not plain."""
+    """Write ``env.yaml`` and ``agent.yaml`` below ``directory/params``; write no file if one value is invalid."""
     for part, text in {part: dump_yaml(params[part]) for part in PARTS}.items():
         write_text(directory / "params" / f"{part}.yaml", text)
 
 
 def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the environment's and the agent's parameters of a run directory, without ``${``."""
+    """Return the resolved parameters of the environment and of the agent from a run directory."""
     paths = {part: Path(directory) / "params" / f"{part}.yaml" for part in PARTS}
     params = {part: _load_mapping(path) for part, path in paths.items()}
     for part, path in paths.items():
@@ -66,9 +66,9 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert an environment's parameters to the current format."""
-    # An older version of this project may have written the parameters. Until 0.1, the ground was a plane whose material
-    # was in ``scene.ground``, and there was only one engine.
+    """Convert an environment's parameters from the format of an older version to the current format."""
+    # An older version of wheelleg_exp may have written the parameters.
+    # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and only one engine existed.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
         return dict(env)  # The config check reports a value of the wrong type.
@@ -80,16 +80,16 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters with MuJoCo's own engine."""
-    # Evaluations, plays, and exports simulate on this engine by default, so their figures can be compared and need no
-    # GPU.
+    """Return an environment's parameters with the physics engine changed to MuJoCo on the CPU."""
+    # Evaluations, plays, and exports simulate with MuJoCo on the CPU by default.
+    # Therefore their figures can be compared with each other, and no GPU is needed.
     if not isinstance(env.get("sim"), Mapping):
         return dict(env)  # The config check reports a value of the wrong type.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
 def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's composed config with unresolved interpolations; raise RunDirectoryError if it is missing."""
+    """Return a run's composed config with unresolved ``${...}``; raise RunDirectoryError if the file is missing."""
     return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
 
 
@@ -100,18 +100,18 @@ def _load_mapping(path: Path) -> dict[str, Any]:
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-# The run directory has no resolved copy of these config sections.
+# The run directory stores these config sections only with unresolved interpolations.
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
 _MAX_STEPS = 10_000  # One config can resolve at most this number of interpolations.
-_MAX_LETTERS = 100_000  # The texts with an interpolation have at most this total number of letters.
+_MAX_LETTERS = 100_000  # All texts with an interpolation may have at most this number of letters in total.
 _NO_DEFAULT = object()
 # A recorded override must not be an option or a setting of Hydra itself, and must not call a resolver.
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return a run's resolved ``SECTIONS`` (None if missing); the config can request only the given variables."""
+    """Return the resolved config sections ``SECTIONS`` (None if missing); use only the given environment variables."""
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):
@@ -135,7 +135,7 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
 
 
 def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's config with unresolved interpolations; return an empty config if the file cannot be read."""
+    """Return a run's config with unresolved ``${...}``; return an empty mapping if the file cannot be read."""
     try:
         config = read_yaml(Path(directory) / CONFIG)
     except RunDirectoryError:
@@ -144,7 +144,7 @@ def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
 
 
 def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
-    """Return the overrides of a run's config; return an empty list if the run stores no overrides."""
+    """Return the config overrides with which a run was started; return an empty list if the run stores no overrides."""
     path = Path(directory) / OVERRIDES
     found = read_yaml(path) if path.is_file() else []
     if not isinstance(found, list):
@@ -153,13 +153,13 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Raise RunDirectoryError, with the path of the record, unless each recorded word is an override of the config."""
-    # Options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers (environment
-    # variables of this machine) are refused, because a config is composed from the recorded words.
+    """Raise RunDirectoryError unless each recorded word is a config override; the error names the file ``path``."""
+    # A config is composed from the recorded words, and an untrusted person may have written these words.
+    # Therefore command options, Hydra's own settings, and calls of OmegaConf resolvers raise an error.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
-            raise RunDirectoryError(f"{word!r} is not an allowed override", key=str(path), expected=expected)
+            raise RunDirectoryError(f"{word!r} is not allowed as a recorded override", key=str(path), expected=expected)
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
@@ -175,10 +175,11 @@ def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
 def resolved(
     tree: Mapping[str, Any], variables: Mapping[str, str], absent: Callable[[str], Any], sections: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """Return a config, or sections of it, with ``${...}`` resolved from the config itself and the given variables.
+    """Return a config, or some of its sections, with each ``${...}`` resolved from the config and the given variables.
 
-    The argument ``variables`` contains the value of ``${oc.env:NAME}`` by name. The function ``absent`` returns the
-    value of a variable that is missing in ``variables`` and has no default.
+    The argument ``variables`` maps the name of each environment variable to the value of ``${oc.env:NAME}``. The
+    function ``absent`` returns the value of a variable that is missing in ``variables`` and has no default in the
+    config.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
@@ -186,7 +187,7 @@ def resolved(
     letters = sum(len(text) for text in _strings(tree) if "${" in text)
     try:
         if letters > _MAX_LETTERS:
-            raise InterpolationResolutionError(f"the interpolations of the config have {letters} letters")
+            raise InterpolationResolutionError(f"the texts with '${{' in the config have {letters} letters in total")
         with _restricted_resolvers(variables, absent):
             config = OmegaConf.create(dict(tree))
             values = {key: OmegaConf.select(config, key) for key in sections or map(str, tree)}
@@ -207,7 +208,7 @@ def _strings(node: Any) -> Iterator[str]:
 
 @contextmanager
 def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
-    """Inside the block, restrict OmegaConf to resolvers that only read the config, and limit their number of calls."""
+    """Inside the block, allow OmegaConf only resolvers that read the config, and limit the number of resolver calls."""
     from omegaconf import OmegaConf
     from omegaconf.base import Container
     from omegaconf.basecontainer import BaseContainer
@@ -217,7 +218,7 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
 
     def bounded(self: Container, *arguments: Any, **more: Any) -> Any:
         if next(steps) >= _MAX_STEPS:
-            raise InterpolationResolutionError(f"the config takes more than {_MAX_STEPS} interpolations")
+            raise InterpolationResolutionError(f"resolving the config takes more than {_MAX_STEPS} interpolations")
         return resolve(self, *arguments, **more)
 
     def variable(name: str, default: Any = _NO_DEFAULT) -> Any:

@@ -1,7 +1,7 @@
 """Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
 
-A folder with a pipeline's index is not a run directory. The error for a pipeline's folder lists the runs of the
-pipeline's phases.
+A folder with the index file of a pipeline is not a run directory. The error for such a folder lists the run directories
+of the pipeline's phases.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entrie
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
-# A task's name and ``run.name`` must match, because both are parts of a run directory's name.
+# The task name and ``run.name`` must match this pattern, because both are parts of a run directory's path.
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
@@ -44,12 +44,12 @@ PIPELINE_NAME = "pipeline.json"
 
 
 def is_pipeline(folder: Path) -> bool:
-    """Return whether a folder belongs to a pipeline; a run directory never does, whatever files it contains."""
+    """Return whether a folder has a pipeline's index but no manifest; a folder with a manifest is a run directory."""
     return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
 
 
 def pipeline_error(folder: Path) -> RunDirectoryError | None:
-    """Return the error for a pipeline's folder that is named as a run; return None for a folder without a pipeline."""
+    """Return the error for a pipeline's folder that a user gives instead of a run; return None for other folders."""
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
@@ -69,9 +69,9 @@ LATEST, AGENTS, SWEEPS = "latest", "agents", "sweeps"
 REPLAYS, PIPELINES = "replays", "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
-FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.
+FAILURE = "failure.npz"  # This file contains the simulation state that made a training fail.
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
-# A run can be rebuilt from these files.
+# The environment and agent of a run can be rebuilt from these files.
 NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
 
 
@@ -107,9 +107,9 @@ class RunDirectory(os.PathLike[str]):
     ) -> RunDirectory:
         """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` in local time.
 
-        If the folder's name is taken, the suffix ``-2``, ``-3``, … makes the name unique. With ``section`` (``agents``,
-        ``replays``), the directory is created below that folder of the root, which ``latest`` and the list of runs
-        ignore.
+        If the folder already exists, the suffix ``-2``, ``-3``, … makes the name unique. If ``section`` is
+        ``agents`` or ``replays``, the directory is created in the subfolder ``section`` of the root; the name
+        ``latest`` and the list of runs ignore this subfolder.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
@@ -124,10 +124,10 @@ class RunDirectory(os.PathLike[str]):
 
     @classmethod
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
-        """Return the run directory with a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest``.
+        """Find a run directory by its path, by its id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        If ``odd`` is true, the directory can contain links, pipes, and devices. The caller must report them and must
-        not open them.
+        If ``odd`` is true, the run directory can contain links, pipes, and devices. The caller must report the links,
+        pipes, and devices, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
@@ -144,22 +144,22 @@ class RunDirectory(os.PathLike[str]):
 
     @property
     def root(self) -> Path:
-        """The root folder of all runs, in which this run directory is."""
+        """The root folder of all runs, which contains this run directory."""
         above = self.path.parent.parent
         return above.parent if above.name in (AGENTS, REPLAYS) else above
 
-    params = _PathInside("params")  # The folder of ``env.yaml`` and ``agent.yaml``.
-    hydra = _PathInside(".hydra")  # The folder of Hydra's own files.
-    source = _PathInside("source")  # The folder of the source state.
-    asset = _PathInside("asset")  # The folder of the robot's files.
-    exported = _PathInside("exported")  # The folder of exported policies.
-    play = _PathInside("play")  # The folder of recordings made after training.
-    videos = _PathInside("videos")  # The folder of the films of the training.
-    dataset = _PathInside("dataset")  # The folder of the episodes that recorders saved during the training.
-    evaluation = _PathInside("evaluation")  # The folder of evaluations.
-    recording = _PathInside("recording.rrd")  # The recording of the training.
-    iterations = _PathInside("iterations.jsonl")  # The file with one line of JSON for each training iteration.
-    environment = _PathInside("environment.txt")  # The list of installed distributions.
+    params = _PathInside("params")  # This folder contains the parameter files ``env.yaml`` and ``agent.yaml``.
+    hydra = _PathInside(".hydra")  # This folder contains the files that Hydra writes.
+    source = _PathInside("source")  # This folder contains the recorded state of the source code.
+    asset = _PathInside("asset")  # This folder contains the robot's model files.
+    exported = _PathInside("exported")  # This folder contains the exported policies.
+    play = _PathInside("play")  # This folder contains the recordings of plays after the training.
+    videos = _PathInside("videos")  # This folder contains the videos of the training.
+    dataset = _PathInside("dataset")  # This folder contains the episodes that recorders saved during the training.
+    evaluation = _PathInside("evaluation")  # This folder contains the evaluation results.
+    recording = _PathInside("recording.rrd")  # This file contains the recording of the training.
+    iterations = _PathInside("iterations.jsonl")  # This file contains one line of JSON for each training iteration.
+    environment = _PathInside("environment.txt")  # This file lists the installed Python distributions.
 
     def manifest(self) -> Manifest:
         """Read the manifest; raise RunDirectoryError if it is missing or damaged."""
@@ -168,20 +168,20 @@ class RunDirectory(os.PathLike[str]):
     def inside(self, name: str) -> Path:
         """Return the path of a file in the run directory; raise RunDirectoryError for a path outside."""
         if not is_inside(name) or not (self.path / name).resolve().is_relative_to(self.path.resolve()):
-            raise RunDirectoryError(f"'{name}' is outside the run directory", expected="a path below it")
+            raise RunDirectoryError(f"the path '{name}' is outside the run directory", expected="a path below it")
         return self.path / name
 
     def checkpoints(self) -> list[Path]:
-        """Return the checkpoints, sorted by iteration."""
+        """Return the paths of the run's checkpoints, sorted by iteration."""
         with for_people(self.path, "read"):
             found = [p for p in self.path.iterdir() if CHECKPOINT.fullmatch(p.name) and p.is_file()]
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
-        """Return the checkpoint of the last iteration; raise RunDirectoryError without a checkpoint."""
+        """Return the path of the newest checkpoint; raise RunDirectoryError if the run has no checkpoint."""
         found = self.checkpoints()
         if not found:
-            raise RunDirectoryError(f"run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")
+            raise RunDirectoryError(f"the run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")
         return found[-1]
 
     def checkpoint(self, iteration: int) -> Path:
@@ -196,10 +196,10 @@ class RunDirectory(os.PathLike[str]):
 
 
 def checkpoint_iteration(path: Path) -> int:
-    """Return the iteration in a checkpoint's file name; raise RunDirectoryError for another name."""
+    """Return the iteration from a checkpoint's file name; raise RunDirectoryError if the name has another format."""
     match = CHECKPOINT.fullmatch(path.name)
     if match is None:
-        raise RunDirectoryError(f"'{path.name}' is not a checkpoint's name", expected="model_<iteration>.pt")
+        raise RunDirectoryError(f"'{path.name}' is not a checkpoint's file name", expected="model_<iteration>.pt")
     return int(match.group(1))
 
 
@@ -217,7 +217,7 @@ def create_exclusively(parent: Path, name: str) -> Path:
 
 
 def run_folders(root: Path) -> list[Path]:
-    """Return the run directories of all tasks below ``root`` that have a manifest, sorted by path."""
+    """Return the run directories below ``root`` that have a manifest, sorted by path."""
     return sorted(path.parent for task in task_folders(root) for path in task.glob(f"*/{MANIFEST_NAME}"))
 
 
@@ -230,7 +230,7 @@ def start_moment(folder: Path) -> datetime:
 
 
 def task_folders(root: Path) -> list[Path]:
-    """Return the folders below ``root`` that contain the runs of one task each."""
+    """Return the folders below ``root``, each of which contains the runs of one task."""
     with for_people(root, "read"):
         folders = root.iterdir() if root.is_dir() else ()
         return [p for p in folders if p.is_dir() and p.name not in _NOT_TASKS and p.name[0] != "."]
@@ -270,4 +270,4 @@ def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
 
 def _require_name(name: str, key: str) -> None:
     if not isinstance(name, str) or not re.fullmatch(NAME, name):
-        raise ConfigError(f"{name!r} cannot be part of a folder's name", key=key, expected=NAME_WORDS)
+        raise ConfigError(f"{name!r} cannot be part of a folder name", key=key, expected=NAME_WORDS)

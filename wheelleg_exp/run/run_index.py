@@ -1,7 +1,7 @@
 """The index files of several runs: ``sweep.json`` of a sweep and ``pipeline.json`` of a pipeline.
 
-Each index is in a separate folder below the folder of all runs, and contains the paths of ordinary run directories.
-Every change replaces the whole index file.
+Each index file is in a separate folder below the folder of all runs, and contains the paths of run directories. Every
+change replaces the whole index file.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _RunIndex:
     def _create(
         cls, root: str | Path, command: Sequence[str], moment: datetime | None, entries: list[dict[str, Any]]
     ) -> Self:
-        """Create the folder ``<root>/<section>/<time>``, and add the keys that all indexes have to ``data``."""
+        """Create the folder ``<root>/<section>/<time>``, and write the keys that all index files have into ``data``."""
         moment = moment or utc_now()
         index = cls(create_exclusively(Path(root) / cls.SECTION, folder_text(moment)))
         index.data = {
@@ -78,12 +78,12 @@ class _RunIndex:
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read the index in a folder; raise RunDirectoryError for a missing, damaged, or unknown index."""
+        """Read the index file in a folder; raise RunDirectoryError if the file is missing, damaged, or unknown."""
         path = Path(folder) / cls.FILE
         data = read_json(path)
         if not isinstance(data, dict) or not isinstance(data.get(cls.ENTRIES), list):
             expected = f"a mapping with '{cls.ENTRIES}'"
-            raise RunDirectoryError(f"this is not the index of a {cls.KIND}", where=str(path), expected=expected)
+            raise RunDirectoryError(f"the file is not the index of a {cls.KIND}", where=str(path), expected=expected)
         if data.get("format") != _FORMAT:
             message = f"{cls.KIND} format {data.get('format')!r} is unknown"
             raise RunDirectoryError(message, where=str(path), expected=f"format {_FORMAT}")
@@ -95,7 +95,7 @@ class _RunIndex:
         return self.folder / self.FILE
 
     def run_of(self, entry: Mapping[str, Any]) -> Path | None:
-        """Return the absolute run directory of a sweep job or pipeline phase; None before its run starts."""
+        """Return the absolute run directory of a sweep job or pipeline phase; None before the run of the job starts."""
         return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
 
     def relative(self, path: Path) -> str:
@@ -131,7 +131,7 @@ class SweepIndex(_RunIndex):
     ) -> SweepIndex:
         """Create the folder and the index of a new sweep below ``root``, the folder of all runs.
 
-        The argument ``jobs`` contains for each job all its overrides, and the overrides in which the jobs differ.
+        For each job, the argument ``jobs`` contains all config overrides, and the overrides in which the jobs differ.
         """
         entries: list[dict[str, Any]] = []
         for number, (overrides, swept) in enumerate(jobs, 1):
@@ -148,7 +148,7 @@ class SweepIndex(_RunIndex):
         return self.data["jobs"]
 
     def write_multirun(self, text: str) -> None:
-        """Write Hydra's config of the whole sweep."""
+        """Write the Hydra config of the whole sweep."""
         write_text(self.folder / MULTIRUN_NAME, text)
 
     def job_started(self, number: int) -> None:
@@ -203,7 +203,7 @@ class PipelineIndex(_RunIndex):
     ) -> PipelineIndex:
         """Create the folder and the index of a new pipeline below ``root``, the folder of all runs.
 
-        ``config`` is the declared pipeline as plain values, ``overrides`` apply to all phases, and ``digests`` contains
+        ``config`` is the pipeline's config as JSON values, ``overrides`` apply to all phases, and ``digests`` contains
         the digest of each phase's config by phase name.
         """
         phases: list[dict[str, Any]] = []
@@ -225,7 +225,7 @@ class PipelineIndex(_RunIndex):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read the pipeline index in a folder, and check the type of each value in the index."""
+        """Read the index file of a pipeline from a folder, and check the type of each value in the index."""
         index = super().load(folder)
         where, phases = str(index.path), [phase if isinstance(phase, dict) else {} for phase in index.phases]
         missing = [key for key in _PIPELINE_TYPES if key not in index.data]
@@ -234,7 +234,7 @@ class PipelineIndex(_RunIndex):
             message, expected = f"'{missing[0]}' is missing", ", ".join(_PIPELINE_TYPES)
             raise RunDirectoryError(f"broken index of a pipeline: {message}", where=where, expected=expected)
         for key in mistyped_keys(index.data, {**_PIPELINE_TYPES, "process": Optional(WRITER)}):
-            raise RunDirectoryError(f"broken index of a pipeline: '{key}' is missing or wrong", where=where)
+            raise RunDirectoryError(f"broken index of a pipeline: the key '{key}' is missing or wrong", where=where)
         return index
 
     @property
@@ -248,7 +248,7 @@ class PipelineIndex(_RunIndex):
         return self.data["phases"]
 
     def done(self, phase: Mapping[str, Any]) -> int:
-        """Return the number of finished training iterations of a phase, including those of an interrupted step."""
+        """Return the number of finished training iterations of a phase, including those of an interrupted training."""
         run, last = self.run_of(phase), 0
         if run is not None:
             with suppress(RunDirectoryError):
@@ -256,13 +256,13 @@ class PipelineIndex(_RunIndex):
         return max(int(phase["trained"]), last)
 
     def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
-        """Record changed values of one phase of a pipeline."""
+        """Record changed values of one phase in the pipeline's index file."""
         number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
         self.phases[number].update(json_plain(changes))
         self.write()
 
     def restart(self, command: Sequence[str], changes: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> None:
-        """Record that this process resumes the pipeline, with changed settings if any are given."""
+        """Record that this process resumes the pipeline, and record the changed settings of the pipeline."""
         before = {key: self.data[key] for key in ("status", "why", "ended", "process")}
         entry = {"when": utc_text(utc_now()), "command": list(command), "changes": list(changes), "before": before}
         self.data["resumes"].append(json_plain(entry))
@@ -277,7 +277,7 @@ class PipelineIndex(_RunIndex):
 
 
 def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
-    """Return the folder of a pipeline, named by its path or by its id below ``root``; None if it does not exist."""
+    """Find the folder of a pipeline by its path or by its id below ``root``; return None if no such folder exists."""
     for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
         if is_pipeline(folder):
             return folder.resolve()
@@ -286,7 +286,7 @@ def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
 
 
 def pipelines_below(root: Path) -> list[PipelineIndex]:
-    """Return the pipelines in a folder of runs, the newest first, without those with a damaged index."""
+    """Return the pipelines in a folder of runs, the newest first; skip pipelines with a damaged index file."""
     found = []
     for path in sorted((root / PIPELINES).glob(f"*/{PIPELINE_NAME}"), reverse=True):
         with suppress(RunDirectoryError):

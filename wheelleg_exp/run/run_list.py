@@ -30,8 +30,8 @@ CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # Every line of iterations.jsonl has fewer bytes.
-# The figures of a training, and the names of the scalars that contain them.
+_TAIL_BYTES = 65536  # Every line of iterations.jsonl has fewer bytes than this number.
+# The performance figures of a training, and the names of the logged scalars that contain these figures.
 FIGURES = {
     "return": "Train/mean_reward",
     "episode_length": "Train/mean_episode_length",
@@ -41,36 +41,36 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """The facts about one run that the list of runs shows."""
+    """The facts about one run that the command ``wheelleg list runs`` shows."""
 
     id: str
     task: str
-    status: str  # of the manifest; ``crashed``: a dead process left ``running``; ``damaged``: no readable manifest
+    status: str  # The manifest's status, ``crashed`` (process died), or ``damaged`` (manifest unreadable).
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # why the run failed or is damaged, or the number of episodes with NaN or inf
-    failure: dict[str, Any] | None = None  # the recorded failure: message, config key, iteration
+    problem: str | None = None  # Why the run failed or is damaged, or how many episodes had NaN or inf.
+    failure: dict[str, Any] | None = None  # The failure's message, config key, and iteration.
     name: str | None = None
     iterations: int | None = None  # finished iterations
     max_iterations: int | None = None
-    checkpoint: int | None = None  # the iteration of the last checkpoint
-    resumable: bool = False  # whether ``resume`` can continue from the last checkpoint or the start
+    checkpoint: int | None = None  # The iteration of the last checkpoint.
+    resumable: bool = False  # Whether ``resume`` can continue the run.
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)  # mean return, mean length, and time-out share at the end
-    played: dict[str, Any] = field(default_factory=dict)  # results of the last play
-    evaluated: dict[str, Any] = field(default_factory=dict)  # results of the last evaluation
-    bundles: tuple[str, ...] = ()  # folders of the exported deployment bundles
-    seconds: float | None = None  # training time up to the last iteration, without pauses before a resume
-    bytes: int | None = None  # size of the files directly in the run directory
+    figures: dict[str, float] = field(default_factory=dict)  # The final mean return, length, and time-out share.
+    played: dict[str, Any] = field(default_factory=dict)  # The results of the last play.
+    evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the last evaluation.
+    bundles: tuple[str, ...] = ()  # The folders of the exported deployment bundles.
+    seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume.
+    bytes: int | None = None  # The total size of the files directly in the run directory.
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
-    """Return a summary of every run below ``root``, the newest first; empty if ``root`` does not exist."""
+    """Return a summary of every run below ``root``, the newest first; return no runs if ``root`` does not exist."""
     folders = run_folders(Path(root))
-    # A run that was killed at its start has a folder with a run's name, but no manifest.
+    # A run that was killed at its start has a folder with the name of a run directory, but no manifest.
     for folder in (folder for task in task_folders(Path(root)) for folder in task.iterdir()):
         if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
             folders.append(folder)
@@ -95,7 +95,7 @@ def summarize(folder: Path) -> RunSummary:
         written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
         total = int(written[1]) if written else None
     match = _FOLDER.fullmatch(folder.name)
-    results: dict[str, dict[str, Any]] = {}  # The newest results of each kind, such as ``play``.
+    results: dict[str, dict[str, Any]] = {}  # The newest results of each kind of command, such as ``play``.
     bundles = []
     for entry in data["additions"]:
         kind, found = str(entry.get("kind")), entry.get("results")
@@ -128,13 +128,13 @@ def summarize(folder: Path) -> RunSummary:
 
 
 def non_finite_note(results: Mapping[str, Any]) -> str | None:
-    """Return a line that counts the episodes that ended because a number was not finite; None without such episodes."""
+    """Return a line with the number of episodes that ended because of NaN or inf; None if no episode ended so."""
     listed = ", ".join(f"{key} {count}" for key, count in (results.get("non_finite") or {}).items())
     return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
 def effective_status(manifest: Manifest) -> str:
-    """Return the manifest's status, or ``crashed`` if it is ``running`` and the process has ended."""
+    """Return the status in the manifest, or ``crashed`` if this status is ``running`` but the process has ended."""
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
         return CRASHED
     return manifest.status
@@ -142,7 +142,7 @@ def effective_status(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """The facts about one sweep that the list of sweeps shows; the attribute ``jobs`` counts the jobs by status."""
+    """The facts that ``wheelleg list sweeps`` shows about a sweep; the attribute ``jobs`` counts the jobs by status."""
 
     id: str
     status: str
@@ -174,13 +174,13 @@ def _sweep(folder: Path) -> SweepSummary:
 
 
 def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | None, total: int | None) -> bool:
-    """Return whether ``resume`` can continue a run, without reading the files of the run."""
+    """Return whether ``wheelleg resume`` can continue a run; do not open the files of the run."""
     if status == "running" or total is None:
         return False
     if checkpoint is None:  # A resume from the start needs the files from which the run can be built.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # A resume would leave a gap in the iteration log.
+    if (done or 0) < computed:  # A resume from this checkpoint would leave a gap in the iteration log.
         return False
     # At this point, only the exported policy of the run can be missing.
     return computed < total or (computed == total and status != "finished")
@@ -200,11 +200,11 @@ def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
 
 
 def _last_line(path: Path) -> dict[str, Any] | None:
-    """Return the last whole line of ``iterations.jsonl``; only the end of the file is read."""
+    """Return the last complete line of ``iterations.jsonl``; read only the end of the file."""
     try:
         with open_file(path) as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
-            lines = file.read().split(b"\n")[:-1]  # A last log line without a newline is incomplete.
+            lines = file.read().split(b"\n")[:-1]  # The last log line is incomplete if it has no newline.
     except RunDirectoryError:
         return None
     for line in reversed(lines):
@@ -218,7 +218,7 @@ def _last_line(path: Path) -> dict[str, Any] | None:
 
 
 def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
-    if manifest.data["resumes"]:  # The manifest does not record the end of a killed process.
+    if manifest.data["resumes"]:  # The manifest does not record the time at which a killed process ended.
         try:
             return seconds_of(line.content for line in read_log(folder / "iterations.jsonl").lines)
         except RunDirectoryError:
@@ -238,7 +238,7 @@ def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
 _CONDITION = re.compile(r"(?P<key>[^=!<>]+)(?P<sign>!=|<=|>=|=|<|>)(?P<value>.*)")
 _ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
 
-# Filters and sorting accept these columns, and also the keys of a run's config.
+# The options --filter and --sort accept these columns, and also the keys of a run's config.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
     **{name: operator.attrgetter(name) for name in ("id", "task", "status", "name")},
     "seed": lambda run: run.seeds[0] if run.seeds else None,
@@ -263,7 +263,7 @@ class SweptRun:
 
 
 def swept_runs(root: Path) -> dict[Path, SweptRun]:
-    """Return the runs of all sweeps below ``root`` by run directory; a damaged sweep index is ignored."""
+    """Return the runs of all sweeps below ``root`` by run directory; ignore a sweep with a damaged index file."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
         try:
@@ -285,7 +285,7 @@ def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
 
 
 def find_sweep(name: str, root: Path) -> SweepIndex | None:
-    """Return the sweep with a path, an id, or the name ``latest``; return None if the sweep does not exist."""
+    """Find a sweep by its path, by its id, or by the name ``latest``; return None if the sweep does not exist."""
     known = sorted(path.parent for path in (root / SWEEPS).glob(f"*/{SWEEP_NAME}"))
     if name == "latest" and known:
         return SweepIndex.load(known[-1])
@@ -296,15 +296,15 @@ def find_sweep(name: str, root: Path) -> SweepIndex | None:
 def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSummary]:
     """Return the runs that meet every condition of ``--filter``.
 
-    A condition on runs is ``KEY=VALUE`` with ``*`` as a wildcard, or has ``!=``, ``<``, ``<=``, ``>``, ``>=``. A key is
-    a column of the list or a key of the run's config.
+    A condition on runs is ``KEY=VALUE`` with ``*`` as a wildcard; the operators ``!=``, ``<``, ``<=``, ``>``, and
+    ``>=`` are also allowed. ``KEY`` is a column of the list of runs, or a key of the run's config.
     """
     kept = list(runs)
     for text in conditions:
         match = _CONDITION.fullmatch(text)
         if match is None:
             expected = "KEY=VALUE, or !=, <, <=, >, >="
-            raise WheellegError(f"'{text}' is not a condition on runs", key="--filter", expected=expected)
+            raise WheellegError(f"'{text}' is not a valid condition on runs", key="--filter", expected=expected)
         key, sign, wanted = match["key"].strip(), match["sign"], match["value"].strip()
         values = _values(runs, key, "--filter")
         known = [value for value in values.values() if value is not None]
@@ -329,7 +329,7 @@ def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) ->
 
 
 def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]:
-    """Return each run's value of a column or config key; None for a run without the key."""
+    """Return the value of a column or config key for each run; the value is None for a run without the key."""
     column = _COLUMNS.get(key.replace("_", "-"))
     if column is not None:
         return {run.path: column(run) for run in runs}
@@ -347,7 +347,7 @@ def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]
 
 
 def _starts_with_digit(text: str) -> bool:
-    """Return whether a text starts with a digit, like a date or a run id; a filter can then compare it with a year."""
+    """Return whether a text starts with a digit; a filter can compare such texts, for example dates, with a number."""
     return text[:1].isdigit()
 
 
@@ -357,7 +357,7 @@ def _holds(value: Any, sign: str, wanted: str) -> bool:
         if isinstance(value, str):
             return (number is None or _starts_with_digit(value)) and _ORDERED[sign](value, wanted)
         if number is None:
-            raise WheellegError(f"'{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
+            raise WheellegError(f"the value '{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
     if isinstance(value, bool) or value is None:
         equal = wanted.lower() in {True: ("true", "yes"), False: ("false", "no"), None: ("null", "none", "-")}[value]

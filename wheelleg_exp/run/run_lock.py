@@ -1,4 +1,4 @@
-"""Lock a run directory so that one process writes it at a time, and detect whether a recorded process still runs."""
+"""Lock a run directory so that only one process writes to it, and detect whether a recorded process still runs."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _PROC = Path("/proc")
 
 def this_process() -> dict[str, Any]:
     """Return the identity of this process: pid, host, boot id, and its start in clock ticks."""
-    # A later process can have the pid of an ended process, but not its boot id and start time. The boot id and start
-    # time are None on systems that do not report these values.
+    # A new process can have the pid of an ended process, but not the ended process's boot id and start time.
+    # The boot id and start time are None on systems that do not report these values.
     pid = os.getpid()
     return {"pid": pid, "host": platform.node(), "boot_id": _boot_id(), "start_ticks": _start_ticks(pid)}
 
 
 def is_alive(recorded: Mapping[str, Any]) -> bool | None:
-    """Return whether the process of a ``this_process`` record still runs; None on another host."""
+    """Return whether the process that ``this_process`` recorded still runs; None if it was recorded on another host."""
     pid = recorded.get("pid")
     if not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
         return None
@@ -53,12 +53,12 @@ def _boot_id() -> str | None:
 
 
 def _start_ticks(pid: int) -> int | None:
-    """Return a process's start time, field 22 of ``/proc/<pid>/stat``; None for a missing process or a zombie."""
+    """Return the start time of a process from ``/proc/<pid>/stat``; None for a missing process or a zombie process."""
     try:
         text = (_PROC / str(pid) / "stat").read_text(errors="replace")
     except OSError:
         return None
-    # The program's name in parentheses can contain spaces, so count the fields after the last parenthesis (proc(5)).
+    # A program name can contain spaces and parentheses, so count the fields after the last parenthesis (see proc(5)).
     fields = text.rpartition(")")[2].split()
     return None if fields[0] in "ZX" else int(fields[19])
 
@@ -70,7 +70,8 @@ class RunLock:
     """Lock a run directory for writing, as a context manager.
 
     The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock. ``name`` is the
-    lock file's name in the run directory. ``timeout_s`` is the time in s to wait while another process has the lock.
+    name of the lock file in the run directory. ``timeout_s`` is the time in s to wait while another process has the
+    lock.
     """
 
     def __init__(self, directory: os.PathLike[str], *, name: str = RUN_LOCK, timeout_s: float = 0.0) -> None:
@@ -79,7 +80,7 @@ class RunLock:
         self._descriptor: int | None = None
 
     def acquire(self) -> None:
-        """Acquire the lock; raise RunDirectoryError with the pid of the process that already has the lock."""
+        """Acquire the lock; if another process has the lock, raise RunDirectoryError with the other process's pid."""
         deadline = time.monotonic() + self.timeout_s
         while not self._try():
             if time.monotonic() >= deadline:
@@ -93,17 +94,17 @@ class RunLock:
             time.sleep(0.02)
 
     def release(self) -> None:
-        """Release the lock; do nothing if it is not acquired."""
+        """Release the lock; do nothing if this object has not acquired the lock."""
         if self._descriptor is None:
             return
-        # Do not delete the lock file: two processes could then lock two different files of the same name.
+        # Do not delete the lock file, because two processes could then lock two different files with one name.
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
         self._descriptor = None
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Acquire the lock, unless it is already acquired, and release it after the block in both cases."""
+        """Acquire the lock unless this object already has it; release the lock at the end of the ``with`` block."""
         if self._descriptor is None:
             self.acquire()
         try:
@@ -120,7 +121,7 @@ class RunLock:
 
     def _try(self) -> bool:
         try:
-            # O_NOFOLLOW prevents that a symbolic link's target is truncated.
+            # O_NOFOLLOW prevents that the target of a symbolic link is truncated.
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

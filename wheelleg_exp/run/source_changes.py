@@ -1,4 +1,4 @@
-"""Summarize a recorded source state for the console, and name the files that differ between two source trees."""
+"""Describe recorded source code for the console, and list the files that differ between two source trees."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nu
 _SHOWN_REASONS, _SHOWN_PATHS = 5, 3
 _ABSENT = "000000"
 
-State = str | None  # A path's state is its git mode and blob id, or None in a tree without this path.
+State = str | None  # The state of a path is its git mode and blob id, or None if the tree has no such path.
 
 
 @dataclass(frozen=True)
 class FileChanges:
-    """The sorted paths in which two source trees differ."""
+    """The sorted paths of the files that differ between two source trees."""
 
     added: list[str] = field(default_factory=list)
     removed: list[str] = field(default_factory=list)
@@ -29,7 +29,7 @@ class FileChanges:
 
 
 def source_lines(content: Mapping[str, Any]) -> list[str]:
-    """Return one line for each source in the result of ``load_source``, and a warning for each incomplete source."""
+    """Return one line of text for each source in ``content``, and a warning for each incompletely stored source."""
     lines = []
     for record in (content, *content["others"]):
         lines.append(_source_line(record))
@@ -57,7 +57,7 @@ def _source_line(record: Mapping[str, Any]) -> str:
 
 
 def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
-    """Return the files that differ between two ``git.json`` records, or why they are unknown to ``repositories``."""
+    """Return the files that differ between two ``git.json`` records, or the reason why these files are unknown."""
     place = str(now.get("root") or was.get("root") or "the source")
     if not (was and now):
         return f"{place}: part of only one of the two sources"
@@ -73,17 +73,17 @@ def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositorie
 
 
 def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return the states of the paths in which a record's tree differs from its base; None for a removed path."""
+    """Return the state of each path that differs between a record's tree and base commit; None for a removed path."""
     return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
 
 
 def state(mode: str, blob: str) -> State:
-    """Return the state of a path in a git tree, from git's mode and blob id."""
+    """Return the state of a path as text, from the mode and blob id in a git tree."""
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 
 def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
-    """Return the states of changed paths in the base and in the tree; None if the record has no such list."""
+    """Return the state of each changed path in the base commit and in the tree; None if the record has no list."""
     found = record.get("contents")
     valid = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
     return found if valid else None
@@ -95,7 +95,7 @@ def _compare(
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
-        # If the two base commits are equal at this path, its state in one base is also its state in the other base.
+        # If both base commits are equal at this path, the path has the same state in both.
         return between[path][side] if path in between else other[path][0]
 
     found = FileChanges()
@@ -107,7 +107,7 @@ def _compare(
 
 
 def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[State, State]] | None:
-    """Return the states of the paths that differ between two commits or trees; None if no repository has both."""
+    """Return the states of the paths that differ between two git commits; None if no repository has both commits."""
     if a == b:
         return {}
     if not all(isinstance(base, str) and OBJECT_ID.fullmatch(base) for base in (a, b)):

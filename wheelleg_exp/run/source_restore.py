@@ -1,4 +1,4 @@
-"""Restore the recorded source tree of a run into a new folder."""
+"""Restore the recorded source code of a run into a new folder."""
 
 from __future__ import annotations
 
@@ -32,40 +32,40 @@ _RECORD = {
 }
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
-# Restore the recorded bytes: do not convert line ends, and do not download LFS files (their pointers remain).
+# With these git settings, git does not convert line ends and does not download Git LFS files.
 _SETTINGS = {"core.autocrlf": "false", "core.eol": "lf", "core.hooksPath": os.devnull, "filter.lfs.required": "false"}
 _SETTINGS |= dict.fromkeys(("filter.lfs.smudge", "filter.lfs.clean", "filter.lfs.process"), "")
 
 
 def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the content of a run's ``source/git.json``; raise RunDirectoryError if a value is wrong or unsafe."""
+    """Return the content of a run's ``source/git.json``; raise RunDirectoryError if a value is invalid or unsafe."""
     path = Path(directory) / "source" / RECORD_NAME
     where, content = str(path), require_mapping(read_json(path), path)
     if content.get("format") != SOURCE_FORMAT:
         message = "this is not a record of a source tree"
         raise RunDirectoryError(message, where=where, expected=f"format {SOURCE_FORMAT}")
     for wrong in mistyped_keys(content, {**_RECORD, "others": Optional([_RECORD])}):
-        raise RunDirectoryError(f"broken record of the source: '{wrong}' is missing or wrong", where=where)
+        raise RunDirectoryError(f"broken record of the source: the key '{wrong}' is missing or wrong", where=where)
     first, *others = ({**new_record("failed", None, None), **e} for e in (content, *(content.get("others") or ())))
     for entry in (first, *others):
         for key, pattern in {**dict.fromkeys(("commit", "base", "tree"), OBJECT_ID), "patch": _PATCH}.items():
             if entry[key] is not None and not pattern.fullmatch(str(entry[key])):
-                raise RunDirectoryError(f"broken record of the source: {key} is {entry[key]!r}", where=where)
+                raise RunDirectoryError(f"broken record of the source: {key} has the value {entry[key]!r}", where=where)
         for name in entry["folders"] or ():
             if not is_inside(str(name)):
-                raise RunDirectoryError(f"the record of the source names '{name}', outside its tree", where=where)
+                raise RunDirectoryError(f"the source record names the path '{name}' outside its tree", where=where)
     return {**first, "others": others}
 
 
 def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
-    """Return the source record of each source folder of a run, beginning with the folder of this package."""
+    """Return the source record of each source repository of a run; the repository of wheelleg_exp is the first."""
     content = load_source(directory)
     return [content, *content["others"]]
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first folder whose repository contains a record's commit; None if the record has no commit."""
-    # The error for a missing commit names the command that fetches the commit.
+    """Return the first of the folders whose repository contains the recorded commit; None if no commit is recorded."""
+    # If no folder contains the commit, the error names the git command that fetches the commit.
     commit = record["commit"]
     if commit is None:
         return None
@@ -89,17 +89,17 @@ def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | No
 def restore_source(
     directory: os.PathLike[str], destination: Path, repository: Path | None = None, *, which: int = 0
 ) -> str:
-    """Restore the recorded tree of a run into the new folder ``destination`` and return the tree id.
+    """Restore the recorded source tree of a run into the new folder ``destination``, and return the git tree id.
 
-    ``repository`` is a clone that contains the recorded commit, by default the recorded folder. It is only read.
-    ``which`` is 0 for the main repository of the run, and 1 for the first additional one. ``destination`` becomes a
-    separate repository that reads the objects of the clone. If the restored tree differs from the recorded tree,
-    ``destination`` does not exist afterwards. Nothing is written outside of ``destination``, whatever paths the patch
-    contains. A full disk raises SimulationFailure.
+    ``repository`` is a clone that contains the recorded commit, by default the recorded folder. The clone is only read.
+    ``which`` is 0 for the main repository of the run, and 1 for the first additional repository. ``destination``
+    becomes a separate git repository that reads the git objects of ``repository``. If the restored tree differs from
+    the recorded tree, ``destination`` is deleted and an error is raised. Nothing is written outside of ``destination``,
+    even if the patch contains paths outside. A full disk raises SimulationFailure.
     """
     record = source_records(directory)[which]
     if record["patch"] is None:
-        raise RunDirectoryError(f"the source was not captured ({record['status']}): {record['note']}")
+        raise RunDirectoryError(f"the run did not store its source code ({record['status']}): {record['note']}")
     if destination.exists():
         raise RunDirectoryError(f"'{destination}' already exists", expected="a new folder")
     path = Path(directory) / "source" / record["patch"]
@@ -133,7 +133,7 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
             clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
             clone.run("read-tree", record["commit"])
         if change:
-            # --cached applies the patch to the index, where no setting changes line ends and no path leaves the tree.
+            # With --cached, git applies the patch to the index, so no line ends change and no file outside is written.
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
         if tree != record["tree"]:
@@ -142,8 +142,8 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
         where = f" from '{origin}'" if origin else ""
-        # Git does not report why it cannot write a file, so also check the free space on the disk.
+        # Git does not report why writing a file failed, so also check the free space on the disk.
         if _FULL_DISK.search(str(error)) or shutil.disk_usage(folder).free < _ROOM_BYTES:
             message = f"the source cannot be restored: {error}"
             raise SimulationFailure(message, expected="room on a working disk") from error
-        raise RunDirectoryError(f"the source cannot be restored{where}: {error}") from error
+        raise RunDirectoryError(f"the source code of the run cannot be restored{where}: {error}") from error

@@ -1,9 +1,10 @@
 """Store the state of the source tree with the run: a commit, a tree id, and a patch that restores the tree.
 
-``git.json`` describes the repository of each source folder, the main one first. ``source.patch`` (``source_2.patch``
-for a second repository) makes the recorded tree from the recorded commit, including untracked and binary files. Ignored
-files and the folder of runs are left out. Submodules, nested repositories, folders without git, and files that pass
-through a filter program such as Git LFS are not captured. The record then names them, and its ``exact`` is false.
+``git.json`` describes the repository of each source folder; the main repository is the first. The patch
+``source.patch`` (``source_2.patch`` for a second repository) turns the recorded commit into the recorded tree,
+including untracked and binary files. Files that git ignores and the folder of runs are not stored. Submodules, nested
+repositories, folders without git, and files that pass through a filter program such as Git LFS are not captured. The
+record names the files that are not captured, and has ``exact: false``.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from wheelleg_exp.run.source_changes import state
 SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
-# A record with the status "ok" or "no_commits" has a patch that restores the tree. Other records have a note that
-# says why the working tree was not captured.
+# A record with the status "ok" or "no_commits" has a patch that restores the source tree.
+# A record with any other status has a note that says why the source tree was not stored.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
@@ -37,7 +38,7 @@ _GITLINK, _NO_MODE = "160000", "000000"
 
 @dataclass(frozen=True)
 class NotCaptured:
-    """A file whose state is not captured, and the reason."""
+    """A file whose content the snapshot does not contain, and the reason."""
 
     path: str
     reason: str
@@ -56,14 +57,14 @@ class ChangedPath:
 
 @dataclass
 class _WorkingTree:
-    """A git repository, with its source folders and files relative to the repository's top folder."""
+    """A git repository, and the paths of its source folders and files relative to the repository's top folder."""
 
     repository: Repository
     folders: list[str]
 
 
 def source_entries(record: Any) -> list[Mapping[str, Any]]:
-    """Return the records in a ``git.json``, the main one first, without values of a wrong type."""
+    """Return the repository records of a ``git.json``, the main repository first; skip values of a wrong type."""
     others = record.get("others") if isinstance(record, Mapping) else None
     return [entry for entry in (record, *(others if isinstance(others, list) else ())) if isinstance(entry, Mapping)]
 
@@ -73,10 +74,11 @@ def snapshot_source(
 ) -> dict[str, Any]:
     """Write ``git.json`` and the patches into the run's ``source`` folder, and return the content of ``git.json``.
 
-    The argument ``roots`` contains source folders and single files, and the package's own folder is the first. Source
-    folders in one repository share one record in ``git.json``. Untracked files in ``runs_root``, the folder of all
-    runs, are left out. ``max_patch_mb`` limits each patch, and the sum of the untracked files, in megabytes (10^6
-    bytes). A git command that fails does not stop the run: the record then has a status and a note.
+    The argument ``roots`` contains source folders and single files, and the package's own folder is the first.
+    ``git.json`` has one record for all source folders in one repository. Untracked files in ``runs_root``, the folder
+    of all runs, are not stored. ``max_patch_mb`` is the largest allowed size of each patch, and of all untracked files
+    together, in megabytes (10^6 bytes). If a git command fails, the run continues, and the record has a status and a
+    note about the failure.
     """
     records: list[dict[str, Any]] = []
     for place in _group(roots):
@@ -96,7 +98,7 @@ def snapshot_source(
 
 
 def new_record(status: Status, root: Path | None, note: str | None) -> dict[str, Any]:
-    """Return a source record with every key; unknown values are None."""
+    """Return a source record that has every key; the value of each unknown key is None."""
     return {
         "status": status,
         "exact": False,
@@ -115,13 +117,13 @@ def new_record(status: Status, root: Path | None, note: str | None) -> dict[str,
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
-    """Return whether ``root`` is in a ``site-packages`` folder, which is below ``above`` if ``above`` is given."""
+    """Return whether ``root`` is in a ``site-packages`` folder; if given, only folders below ``above`` count."""
     parts = root.parts if above is None else root.relative_to(above).parts
     return any(part in _INSTALL_FOLDERS for part in parts)
 
 
 def content_digest(root: Path) -> str:
-    """Return one sha256 of the names and contents of the readable files at ``root``, without bytecode."""
+    """Return one sha256 over the names and contents of all readable files at ``root``, except Python bytecode."""
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
         if path.is_file() and "__pycache__" not in path.parts and os.access(path, os.R_OK):
@@ -130,7 +132,7 @@ def content_digest(root: Path) -> str:
 
 
 def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
-    """Return each git repository once with its source folders, and a record for each root that cannot be captured."""
+    """Group the roots by git repository; a root that cannot be captured becomes a record with the reason."""
     groups: dict[Path, _WorkingTree | dict[str, Any]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
@@ -144,7 +146,7 @@ def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
 
 
 def _place(root: Path) -> _WorkingTree | dict[str, Any]:
-    """Return the repository of ``root``, or a record that says why the files of ``root`` cannot be captured."""
+    """Return the git repository of ``root``, or a record that says why the files of ``root`` cannot be captured."""
     folder = root if root.is_dir() else root.parent
     try:
         found = git.run_git(folder, "rev-parse", "--show-toplevel")
@@ -183,7 +185,7 @@ def _installed(root: Path) -> dict[str, Any]:
 
 
 def _distribution_of(root: Path) -> str | None:
-    """Return ``name==version`` of the distribution that contains a package's folder or file; None when unknown."""
+    """Return ``name==version`` of the Python distribution that contains a folder or file; None if it is unknown."""
     place = next((place for place in root.parents if place.name in _INSTALL_FOLDERS), None)
     if place is None:
         return None
@@ -205,7 +207,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
         record["commit"] = commit
         record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
         record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
-        # Store the URL of the branch's remote, otherwise of origin, otherwise of the first remote.
+        # Store the URL of the current branch's remote, otherwise of ``origin``, otherwise of the first remote.
         names = repository.text("remote").splitlines()
         tracked = repository.maybe("config", f"branch.{record['branch']}.remote") if record["branch"] else None
         chosen = next((name for name in (tracked, "origin", *names) if name in names), None)
@@ -220,7 +222,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
 
 
 def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
-    """Add the tree to the source record and return the patch; return None if the patch would be too large."""
+    """Add the id of the git tree to the source record, and return the patch; return None if the patch is too large."""
     untracked, refused = _untracked_files(repository, runs_root)
     record["refused"] = [asdict(entry) for entry in refused]
     sizes = _sizes(repository, untracked)
@@ -235,8 +237,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # Reset the files with a filter program to their base version in the index. Mode 0 removes a path from the
-        # index.
+        # In the index, reset files with a filter program to their base version. Mode 0 removes a path from the index.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
@@ -251,7 +252,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         record["dirty"] = bool(changes) or len(refused) > len(filtered)
         record["submodules"] = _submodules(scratch)
         record["tree"] = scratch.text("write-tree")
-        # The patch that makes the index's tree from ``base``, whatever the user's diff settings are.
+        # Make the patch from ``base`` to the index's tree. These options override the user's diff settings.
         options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
         options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
         options += ["--ignore-submodules=none", "--no-relative", "-U3"]
@@ -270,12 +271,12 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
 
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
-    """Return the untracked files to capture, and those that cannot be captured, without ignored files and runs."""
-    # A file to which this process prints is also left out, because this file grows during the run.
+    """Return the untracked files to store, and untracked files that cannot be stored; skip ignored files and runs."""
+    # Skip a file to which this process prints, because the file grows during the run.
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
     paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
-    # The device and inode of the files to which this process writes standard output and standard error.
+    # Find the device and inode of the files that receive this process's standard output and standard error.
     output = set()
     for descriptor in (1, 2):
         with suppress(OSError):
@@ -311,8 +312,8 @@ def _sizes(repository: Repository, paths: Iterable[str]) -> dict[str, int]:
 
 
 def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
-    """Return the files that git passes through a filter program, such as Git LFS or an encryption."""
-    # Git stores the output of the filter program, and this function must not run that program.
+    """Return the files that git passes through a filter program, such as Git LFS or an encryption program."""
+    # Git stores the output of a filter program, and a snapshot must not run filter programs.
     programs = git.filters(repository)
     if not programs or not paths:
         return []
@@ -322,7 +323,7 @@ def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
 
 
 def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCaptured]:
-    """Add the working tree to a temporary git index; return the changed files that git cannot read."""
+    """Add all files of the working tree to a temporary git index; return the changed files that git cannot read."""
     # Make git compare the files that the user marked with assume-unchanged or skip-worktree.
     tagged = [(entry[0], entry[2:]) for entry in scratch.paths("ls-files", "-v", "-z")]
     here = [(tag, path) for tag, path in tagged if os.path.lexists(scratch.top / path)]
@@ -331,7 +332,7 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
     for flag, paths in (("--no-assume-unchanged", assumed), ("--no-skip-worktree", skipped)):
         if paths:
             scratch.run("update-index", flag, "-z", "--stdin", stdin=git.join_nul(paths))
-    # Exclude submodules, because git would run the submodules' filter programs.
+    # Exclude submodules, because git would run the filter programs of the submodules.
     others = ["--", ".", *(f":(exclude,literal){entry['path']}" for entry in _submodules(scratch))]
     refused: list[NotCaptured] = []
     try:
@@ -344,7 +345,7 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
             if not left:
                 raise
             refused = [NotCaptured(path, f"git cannot read it: {error}") for path in left]
-    # --remove accepts files that have disappeared since git listed them.
+    # With --remove, git accepts files that were deleted after git listed them.
     scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=git.join_nul(untracked))
     return refused
 

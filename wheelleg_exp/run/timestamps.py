@@ -1,4 +1,4 @@
-"""Convert times to UTC text for the manifest, and to local time for the names of folders."""
+"""Convert times to UTC text for the manifest, and to local time for folder names."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ def utc_text(moment: datetime) -> str:
 
 
 def parse_utc(text: str) -> datetime:
-    """Return the time in a text that ``utc_text`` returned; raise ValueError for any other text."""
+    """Return the time from a text that ``utc_text`` returned; raise ValueError for any other text."""
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
-        raise ValueError(f"'{text}' has no time zone")
-    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # Python's datetime cannot convert time zones outside these years.
-        raise ValueError(f"'{text}' is outside the years that a computer's clock has")
+        raise ValueError(f"the time '{text}' has no time zone")
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # Python cannot convert time zones outside these years.
+        raise ValueError(f"the time '{text}' is outside the years {_FIRST_YEAR} to {_LAST_YEAR}")
     return moment
 
 
 def folder_text(moment: datetime) -> str:
-    """Return a time as a folder name in local time, ``2026-01-31_17-05-09``; a naive datetime is local time."""
+    """Return a local time as a folder name, such as ``2026-01-31_17-05-09``; a datetime without time zone is local."""
     local = moment if moment.tzinfo is None else moment.astimezone()
     return local.strftime(_FOLDER)
 
 
 def folder_moment(name: str) -> datetime | None:
-    """Return the time at the start of a run directory's name; return None for any other name."""
+    """Return the start time from the name of a run directory; return None for a name without a time."""
     match = _FOLDER_PATTERN.match(name)
     if match is None:
         return None

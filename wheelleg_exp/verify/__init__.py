@@ -1,4 +1,4 @@
-"""Check runs against their own manifests, and compare two runs. Torch is imported only to compare checkpoints.
+"""Check a run against its own manifest, and compare two runs. Torch is imported only for comparing checkpoints.
 
 | module | offers |
 |---|---|

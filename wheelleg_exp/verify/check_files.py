@@ -1,4 +1,4 @@
-"""Check the manifest of a run, and the files that the manifest lists."""
+"""Check whether the manifest of a run, and the files that the manifest lists, were changed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _UNENDED = ("running", "crashed")
 
 @dataclass(frozen=True)
 class Subject:
-    """A run to check: its directory, manifest, status, and iteration log."""
+    """A run that is checked: the run's directory, manifest, status, and iteration log."""
 
     run: RunDirectory
     manifest: Manifest
@@ -35,12 +35,12 @@ class Subject:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the run's process ended without being killed."""
+        """True if the process of the run ended without being killed."""
         return self.status not in _UNENDED
 
     @property
     def has_snapshot(self) -> bool:
-        """Whether the run's snapshot was written completely; without it, the run stopped before its first step."""
+        """True if the run's snapshot is complete; a run without a complete snapshot stopped before its first step."""
         return bool(self.data.get("source")) or self.has_ended
 
 
@@ -54,13 +54,13 @@ class Check:
 
     name: str
     text: str
-    failures: list[str] = field(default_factory=list)  # mistakes that the check found
+    failures: list[str] = field(default_factory=list)  # The mistakes that the check found.
     notes: list[str] = field(default_factory=list)  # harmless facts
-    skipped: str | None = None  # why the check could not run; None if it ran
+    skipped: str | None = None  # Why the check could not run; None if the check ran.
 
     @property
     def state(self) -> State:
-        """The verdict of the check: ``failed``, ``not checked``, ``note`` or ``ok``."""
+        """The verdict of the check is ``failed``, ``not checked``, ``note`` or ``ok``."""
         if self.failures:
             return "failed"
         if self.skipped is not None:
@@ -68,7 +68,7 @@ class Check:
         return "note" if self.notes else "ok"
 
     def lines(self) -> list[str]:
-        """Return the result of the check as printed lines."""
+        """Return the lines of text that report the result of the check."""
         head = f"{self.name:<12}{self.state:<12}{self.skipped or self.text}".rstrip()
         return [head, *(f"  {line}" for line in cut(self.failures)), *(f"  note: {line}" for line in cut(self.notes))]
 
@@ -83,7 +83,7 @@ class RunFindings:
 
     @property
     def is_sound(self) -> bool:
-        """Whether no check of the run failed."""
+        """True if no check of the run failed."""
         return not any(check.failures for check in self.checks)
 
     @property
@@ -97,7 +97,7 @@ class RunFindings:
         return {"verdict": self.verdict, "run": str(self.path), "status": self.status, "checks": checks}
 
     def lines(self) -> list[str]:
-        """Return the results of all checks as printed lines, with the verdict in the last line."""
+        """Return the lines of text that report all checks; the last line is the verdict."""
         lines = [f"{self.path.parent.name}/{self.path.name}  {self.status}", ""]
         lines += [line for check in self.checks for line in check.lines()]
         failed = [check.name for check in self.checks if check.failures]
@@ -106,17 +106,17 @@ class RunFindings:
 
 
 def cut(lines: Iterable[str]) -> list[str]:
-    """Return the first lines of a check's output, and a line that counts the remaining lines."""
+    """Return the first lines of a check's output, and a line with the number of omitted lines."""
     found = list(lines)
     hidden = len(found) - _SHOWN
     return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
 
 
-# Commands read files with these names as parts of a run, even if the manifest does not list them.
+# Commands read files with these names as parts of a run, even files that the manifest does not list.
 _READ_BY_COMMANDS = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
 )
-# A running training still writes files with these names. The manifest records their digests when the run ends.
+# A running training still writes files with these names. Their digests are recorded in the manifest when the run ends.
 _GROWING = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )
@@ -124,7 +124,7 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that the manifest was not changed after the run wrote it, and note what it records about the run."""
+    """Check that the manifest was not changed after the run wrote the file; add notes on what the manifest records."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
@@ -164,7 +164,7 @@ def files(subject: Subject) -> Check:
 
 
 def damage(subject: Subject) -> dict[str, str]:
-    """Return the problem of each file that differs from its manifest record, and the problem of the manifest."""
+    """Return the problem of each file that differs from the size or digest in the manifest, and of the manifest."""
     wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.matches_digest() is False else {}
     return wrong | _wrong(subject, subject.manifest.compare_files())
 
@@ -185,7 +185,7 @@ def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
 
 
 def _never_recorded(subject: Subject) -> list[str]:
-    """Return the files that a run with these parameters writes, but that the manifest does not list."""
+    """Return the files that every run with the given settings writes, but that the manifest does not list."""
     if not subject.has_snapshot:
         return []
     expected = [*NEEDED, "environment.txt", f"source/{RECORD_NAME}"]
@@ -203,18 +203,18 @@ def _what_became_of(path: Path) -> str:
 
 
 def _is_growing(subject: Subject, name: str) -> bool:
-    """Return whether the manifest will list a file when the run ends."""
+    """Return whether the run adds a file to the manifest only when the run ends."""
     return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
 
 
 def _waiting(subject: Subject) -> list[str]:
-    """Return the files that the last resume recorded but did not rewrite. The next resume rewrites them."""
+    """Return the files that the last resume wanted to rewrite but did not. The next resume rewrites these files."""
     texts = subject.data["resumes"][-1].get("files_to_write") if subject.data["resumes"] else None
     return sorted(texts) if texts and not subject.has_ended else []
 
 
 def _changed_before(subject: Subject) -> dict[str, str]:
-    """Return the checkpoints that differ from the records of an earlier process, unless a resume replaced them."""
+    """Return the checkpoints that were changed after an earlier process of the run recorded their digests."""
     records: dict[str, Mapping[str, Any]] = {}
     for entry in subject.data["resumes"]:
         if entry.get("before") and entry["before"].get("files"):

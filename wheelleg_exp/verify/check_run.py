@@ -1,7 +1,7 @@
-"""Check one run against its own manifest, and its files against each other.
+"""Check the files of one run against the run's manifest and against each other.
 
-The checks cover the inputs (parameters, source, robot) and the results (iterations, checkpoints, recording, exported
-policy).
+The checks cover the inputs of the run (parameters, source, robot) and the results of the run (iterations, checkpoints,
+recording, exported policy).
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from wheelleg_exp.verify import check_files
 from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
 from wheelleg_exp.verify.run_differences import changes_text, plain_changes
 
-# The results of these OmegaConf resolvers depend on the machine and on the time.
+# The values of these OmegaConf resolvers depend on the computer and on the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
 
 
 def params(subject: Subject) -> Check:
-    """Compare the parameters with the config, and the config's seed and task with the manifest."""
+    """Compare the parameter files with the run's config, and the config's seed and task with the manifest."""
     if not subject.has_snapshot:
         return Check("params", "", skipped="the run stopped while its snapshot was written")
     found = dict(zip(PARTS, load_params(subject.run), strict=True))
@@ -46,7 +46,7 @@ def params(subject: Subject) -> Check:
     if not isinstance(written, dict):
         return Check("params", text, skipped=f"{CONFIG} is not a mapping")
     try:
-        # An environment variable that the run did not record becomes None.
+        # An environment variable that the run did not record has the value None.
         config = resolved(written, subject.data.get("config_variables") or {}, lambda _: None)
     except RunDirectoryError as error:
         return Check("params", text, skipped=f"{CONFIG}: {error.message}")
@@ -69,7 +69,7 @@ def params(subject: Subject) -> Check:
 
 
 def _is_interpolated(tree: Any, keys: Keys) -> bool:
-    """Return whether the config value at a path of keys is an interpolation, or is inside an interpolation."""
+    """Return whether the config value at the path ``keys`` comes from an interpolation such as ``${task.name}``."""
     for name in keys:
         if isinstance(tree, str):
             break
@@ -78,7 +78,7 @@ def _is_interpolated(tree: Any, keys: Keys) -> bool:
 
 
 def source(subject: Subject) -> Check:
-    """Compare the source record with the manifest, and the patches with the source record."""
+    """Compare ``source/git.json`` with the manifest, and the patch files with ``source/git.json``."""
     if not subject.has_snapshot:
         return Check("source", "", skipped="the run stopped while its snapshot was written")
     folder, where = subject.run.source, f"source/{RECORD_NAME}"
@@ -102,7 +102,7 @@ def source(subject: Subject) -> Check:
 
 
 def asset(subject: Subject) -> Check:
-    """Check that the robot's files exist and name the compiled model."""
+    """Check that the robot's files exist and contain the digest of the compiled model."""
     identity = subject.run.path / ROBOT
     if not identity.is_file():
         return Check("asset", "", skipped="the run saved no robot")
@@ -116,7 +116,7 @@ def asset(subject: Subject) -> Check:
 
 
 def iterations(subject: Subject) -> Check:
-    """Check that the iteration log counts from 0 without gaps, and ends at the iteration in the manifest's results."""
+    """Check that the iteration log counts from 0 without gaps, and ends at the last iteration in the manifest."""
     log, failures = subject.log, list(subject.log.problems)
     notes: list[str] = []
     if not subject.run.iterations.is_file() and not subject.run.checkpoints() and subject.status != "finished":
@@ -142,7 +142,7 @@ def _results_problems(subject: Subject) -> Iterator[str]:
 
 
 def checkpoints(subject: Subject) -> Check:
-    """Load every checkpoint, and compare its iteration with the file name and its digests with the iteration log."""
+    """Compare each checkpoint's iteration with its file name, and each checkpoint's digests with the iteration log."""
     paths, last = subject.run.checkpoints(), subject.manifest.results.get("checkpoint")
     if not paths:
         missing = ["a finished run has no checkpoint"] if subject.status == "finished" or last else []
@@ -162,7 +162,7 @@ def checkpoints(subject: Subject) -> Check:
 
 
 def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
-    """Return the problems of a checkpoint, and the digests that were compared."""
+    """Return the problems of a checkpoint, and the names of the digests that were compared."""
     from wheelleg_exp.rl import checkpoint, digests
 
     iteration = checkpoint_iteration(path)
@@ -184,7 +184,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
 
 
 def failure(subject: Subject) -> Check:
-    """Check that the saved simulation state of a failure can be read, and agrees with the manifest."""
+    """Check that the simulation state saved after a failure is readable and agrees with the manifest."""
     entry, path = subject.data.get("failure"), subject.run.path / FAILURE
     if entry is None:
         return Check("failure", "none")
@@ -201,7 +201,7 @@ def failure(subject: Subject) -> Check:
 
 
 def recording(subject: Subject) -> Check:
-    """Check that the training recording can be read and was closed."""
+    """Check that the recording of the training is readable and complete."""
     path = subject.run.recording
     if not path.exists():
         return Check("recording", "", skipped="the run has no recording")
@@ -215,7 +215,7 @@ def recording(subject: Subject) -> Check:
         return Check("recording", text, lines)
     if not subject.has_ended or health.is_closed:
         return Check("recording", text, notes=lines)
-    # A recording without an index is complete if its bytes are those that the manifest recorded.
+    # A recording without an index is complete if its digest is the digest in the manifest.
     record = subject.manifest.recorded_files().get(path.name)
     if record is None or record["sha256"] != sha256(path):
         return Check("recording", text, lines)
@@ -225,7 +225,7 @@ def recording(subject: Subject) -> Check:
 
 
 def exported(subject: Subject) -> Check:
-    """Check that the exported policy can be read."""
+    """Check that the files of the exported policy are readable."""
     folder = subject.run.exported
     names = sorted(path.name for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
     if not names:
@@ -236,7 +236,7 @@ def exported(subject: Subject) -> Check:
             with zipfile.ZipFile(folder / "policy.pt") as archive:
                 require_bounded(archive)
                 damaged = archive.testzip() is not None
-        except Exception:  # A damaged archive can raise any error.
+        except Exception:  # Reading a damaged archive can raise any error.
             damaged = True
         failures += ["exported/policy.pt is damaged"] if damaged else []
     if "policy.json" in names and not isinstance(read_json(folder / "policy.json"), Mapping):
@@ -249,7 +249,7 @@ _OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, reco
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
-    """Check a run's files against its manifest and each other, without executing code of the run."""
+    """Check a run's files against the run's manifest and each other, without executing code that the run stores."""
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]
@@ -265,7 +265,7 @@ def verify_run(run: RunDirectory) -> RunFindings:
 
 
 def _guarded(check: Callable[[Subject], Check], subject: Subject) -> Check:
-    """Run a check. If a check cannot read a file, only that check fails."""
+    """Run one check. If the check cannot read a file, only this check fails, and the other checks continue."""
     try:
         return check(subject)
     except RunDirectoryError as error:

@@ -1,6 +1,6 @@
 """Compare checkpoints tensor by tensor, and exported policies by their weights, code, and graphs.
 
-Only one pair of checkpoints is in memory at a time. Exported policies are never run.
+Only two checkpoints of one iteration are in memory at a time. Exported policies are never run.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from wheelleg_exp.verify.run_parts import Part, some
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
-_MOST_LEAVES = 50  # At most this number of differing leaves is stored for one pair of checkpoints.
+_MOST_LEAVES = 50  # For each pair of checkpoints, at most this number of differences is stored.
 
 
 @dataclass(frozen=True)
@@ -35,23 +35,23 @@ class Pair:
     """The checkpoints of one iteration in two runs."""
 
     iteration: int
-    state: Literal["bytes", "content", "different", "unreadable"]  # ``content``: equal tensors in different bytes
-    count: int = 0  # ``count`` of ``of`` leaves differ
+    state: Literal["bytes", "content", "different", "unreadable"]  # ``content``: equal tensors, but different bytes
+    count: int = 0  # Of ``of`` compared values, ``count`` values differ.
     of: int = 0
-    differences: list[Difference] = field(default_factory=list)  # networks first, random streams last, largest first
-    by_part: dict[str, int] = field(default_factory=dict)  # the differing leaves by part of the checkpoint
-    parameters: float | None = None  # relative Euclidean distance of the networks' parameters
-    problem: str | None = None  # why a checkpoint file cannot be read
+    differences: list[Difference] = field(default_factory=list)  # Sorted: networks first, random streams last.
+    by_part: dict[str, int] = field(default_factory=dict)  # The number of differences in each part of the checkpoint.
+    parameters: float | None = None  # The relative Euclidean distance between the networks' parameters.
+    problem: str | None = None  # The reason why a checkpoint file cannot be read.
 
     @property
     def equal(self) -> bool:
-        """Whether all numbers of the two checkpoints are equal bit for bit."""
+        """True if all numbers of the two checkpoints are equal bit for bit."""
         return self.state in ("bytes", "content")
 
 
 @dataclass(frozen=True)
 class CheckpointComparison:
-    """The compared checkpoints of two runs, and the iterations whose checkpoint only one run has."""
+    """The compared checkpoints of two runs, and the iterations of checkpoints that only one run has."""
 
     pairs: list[Pair]
     only_a: list[int]
@@ -59,7 +59,7 @@ class CheckpointComparison:
 
 
 def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> CheckpointComparison:
-    """Compare the checkpoints of the iterations below ``until``."""
+    """Compare the checkpoints of two runs in the iterations below ``until``."""
     ones, others = ({checkpoint_iteration(path): path for path in run.checkpoints()} for run in (a, b))
     return CheckpointComparison(
         pairs=[compare_pair(i, ones[i], others[i]) for i in sorted(i for i in ones if i in others and i < until)],
@@ -69,7 +69,7 @@ def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> Checkpo
 
 
 def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
-    """Compare two checkpoint files. Files with equal bytes are not loaded."""
+    """Compare two checkpoint files. If the bytes of the files are equal, do not load the files."""
     try:
         with for_people(a, "compare"):
             if filecmp.cmp(a, b, shallow=False):
@@ -77,7 +77,7 @@ def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
         from wheelleg_exp.rl import checkpoint
         from wheelleg_exp.verify import tensor_differences
 
-        one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # Checkpoints with NaN can be compared.
+        one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # NaN is allowed in compared checkpoints.
         found = list(tensor_differences.tree_differences(one, other))
         of = tensor_differences.count_leaves(one)
         if not found:
@@ -106,22 +106,21 @@ def _part(name: str) -> str:
 
 def _order(difference: Difference) -> tuple[int, float]:
     """Return the sort key of a difference: by part of the checkpoint, then by size."""
-    # Sort differences: shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative
-    # ones.
+    # Sort shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative differences.
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     part = _part(difference.name)
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
     if difference.kind != "values" or difference.relative is None:
         return rank, -3.0
-    # A relative difference is at most 2.
+    # A relative difference is never larger than 2.
     return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
 _EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
-# TorchScript numbers its classes in the order in which the process scripted them, so the numbers are ignored.
+# TorchScript adds a number to each class name that depends on the order of scripting, so ignore these numbers.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# These pickle operations contain only the protocol version and memo positions, and no value.
+# These pickle operations contain no values, but only the protocol version and memo positions.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 
@@ -159,7 +158,7 @@ def _compare(a: Path | None, b: Path | None) -> str:
         return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
 
 
-# Do not load TorchScript archives, because loading runs their code.
+# Do not load TorchScript archives, because loading an archive runs the archive's code.
 def _archived_weights(path: Path) -> dict[str, bytes]:
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
@@ -169,8 +168,7 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
-    # The numbers of classes and the order of constants are removed, because both depend on the process that wrote the
-    # archive.
+    # Remove class numbers and sort constants, because both depend on the process that wrote the archive.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
@@ -189,7 +187,7 @@ def _archived_code(path: Path) -> dict[str, Any]:
 
 
 def _definitions(code: str) -> list[str]:
-    """Return the classes and functions of a file, without class numbers and with sorted constants."""
+    """Return the source text of each class and function in a file, without class numbers and with sorted constants."""
     ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), _NUMBER.sub("", code))
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
@@ -204,7 +202,7 @@ def _onnx_weights(path: Path) -> dict[str, tuple[Any, ...]]:
 
 
 def _onnx_graph(path: Path) -> bytes:
-    """Return operators, attributes, inputs, outputs, and functions, without the producer's name and version."""
+    """Return the graph of an ONNX file as bytes, without weights and without the producer's name and version."""
     import onnx
 
     model = onnx.load(path, load_external_data=False)
@@ -216,7 +214,7 @@ def _onnx_graph(path: Path) -> bytes:
 
 
 def _clear_texts(message: Any) -> None:
-    """Clear documentation texts and metadata in a message and all messages inside it."""
+    """Clear the documentation texts and metadata in a protobuf message and in all nested messages."""
     for entry, value in message.ListFields():
         if entry.name in ("doc_string", "metadata_props"):
             message.ClearField(entry.name)

@@ -20,7 +20,7 @@ from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_t
 from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
-_OF_THE_SNAPSHOT = ("params", "source", "asset")  # These checks cover the input files of a run.
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # These checks of ``verify_run`` cover the input files of a run.
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
@@ -31,15 +31,15 @@ class Comparison:
     a: Measured
     b: Measured
     verdict: Verdict
-    reason: str  # a sentence that explains the verdict
+    reason: str  # A sentence that explains the verdict.
     first_divergence: Divergence | None
-    iterations: int  # the number of compared iterations
+    iterations: int  # The number of compared iterations.
     settings: list[Change]
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]  # code, versions, hardware, threads, and environment variables
-    tolerance: Tolerance | None = None  # measured deviations; None if none is allowed or no number differs
+    environment: list[FactDifference]  # Code, versions, hardware, threads, and variables.
+    tolerance: Tolerance | None = None  # None if no deviation is allowed or no number differs.
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -61,7 +61,7 @@ class Comparison:
         }
 
     def lines(self) -> list[str]:
-        """Return the comparison as printed lines, with the verdict in the last line."""
+        """Return the lines of text that report the comparison of two runs; the last line is the verdict."""
         sides = (("A", self.a), ("B", self.b))
         lines = [f"{name}  {run.label}  {run.status}, {len(run.log.lines)} iterations" for name, run in sides]
         lines += ["", *(f"{name:<12}{found.state:<14}{found.text}" for name, found in self.parts.items())]
@@ -80,12 +80,12 @@ def compare_runs(
 ) -> Comparison:
     """Compare two runs bit for bit.
 
-    ``iterations`` limits the comparison to the iterations below this number, and ``common`` to the iterations that both
-    runs have. A run that is still running is compared up to its last iteration. If neither option is given, two runs
-    with unequal numbers of iterations are different.
+    If ``iterations`` is given, only the iterations below this number are compared. If ``common`` is true, only the
+    iterations that both runs have are compared. A run that is still running is compared up to its last iteration. If
+    neither ``iterations`` nor ``common`` is given, two runs with unequal numbers of iterations are different.
     """
     if a.path == b.path:
-        raise RunDirectoryError(f"both are the run '{a.id}'", expected="two runs, or one run to check by itself")
+        raise RunDirectoryError(f"both runs are the run '{a.id}'", expected="two runs, or one run to check by itself")
     one, other = measure(a), measure(b)
     return _compare(one, other, span_of(one, other, iterations, common))
 
@@ -100,7 +100,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         settings, asked = [], Part("not compared", str(error))
     robot = differences.robot_changes(a.run, b.run)
     environment = differences.run_differences(a.run, b.run)
-    # Another version of MuJoCo writes the same compiled model differently.
+    # Two versions of MuJoCo write equal compiled models with different bytes.
     another = any((d.section, d.name) == ("versions", "mujoco") for d in environment)
     other_robot = [change for change in robot if not (another and change.key == "compiled model")]
     checkpoints = compare_checkpoints(a.run, b.run, span.until)
@@ -125,7 +125,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         distance = None if here is None or here.parameters is None else (here.iteration, here.parameters)
         tolerance = judge(ones, others, distance, whole=span.whole)
     verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
-    # A manifest can be rewritten to hide a change. The check for rewritten manifests is slow, so check only equal runs.
+    # A manifest can be rewritten to hide a changed file. The check for this is slow, so check only equal runs.
     if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
         parts["files"] = _damage_part(wrong)
         verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"
@@ -141,7 +141,7 @@ def _damage_part(wrong: dict[str, list[str]]) -> Part:
 
 
 def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
-    """Return, for each run, the files that contradict the run's remaining files because the manifest was rewritten."""
+    """Return the failed checks of each run; a rewritten manifest does not hide files that contradict each other."""
     found: dict[str, list[str]] = {}
     for side, measured in (("A", a), ("B", b)):
         checks = [c for c in verify_run(measured.run).checks if span.whole or c.name in _OF_THE_SNAPSHOT]
@@ -163,7 +163,7 @@ def _checkpoints_part(found: CheckpointComparison) -> Part:
 
 
 def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Change]) -> dict[str, Part]:
-    """Compare recordings, exported policies, and results, if both runs ended and have equal lengths."""
+    """Compare recordings, exported policies, and results if both runs ended after equally many iterations."""
     if not span.closed:
         why = "a run did not end by itself" if span.whole else "the runs have different lengths"
         other = Part("not compared", why)
@@ -219,7 +219,7 @@ def _verdict_on_numbers(
 
 
 def _code_text(forbidden: Sequence[FactDifference]) -> str:
-    """Return the reason that rules out a tolerance: other source code, or an inexact resume."""
+    """Return why two runs must not be compared within tolerance, such as different source code or an inexact resume."""
     code = [d.name for d in forbidden if d.section == "code"]
     if code:
         if all(name.startswith(differences.UNKNOWN_CODE) for name in code):

@@ -1,9 +1,9 @@
-"""Differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
+"""List the differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
 
 A difference *allows* other numbers if it is known to change the order or the kind of floating-point operations, and
-nothing else: another CPU, other vector instructions, another build of the libraries that compute. A different setting
-or a different number of physics threads never allows unequal numbers. Different code *forbids* a comparison within
-tolerance, because the effects of code and rounding cannot be separated.
+nothing else: another CPU, other vector instructions, another build of the libraries that compute. If only a setting or
+the number of physics threads differs, the numbers of two runs must be equal. Different code *forbids* a comparison
+within tolerance, because effects of code and of rounding cannot be separated.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
-# These settings change files, speed, or buffer sizes, but no number. A buffer that is too small raises an error.
+# The following settings change files, speed, or buffer sizes, but no number. A too small buffer raises an error.
 _HARMLESS: tuple[Keys, ...] = (
     *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
     *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
@@ -35,12 +35,12 @@ _HARMLESS: tuple[Keys, ...] = (
 
 
 def decides(keys: Keys) -> bool:
-    """Return whether the setting at a path of keys can change a number of the training."""
+    """Return whether the setting at the path ``keys`` can change a number of the training."""
     return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
 
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return how the settings of two runs differ, with settings that can change a number first."""
+    """Return the different settings of two runs; settings that can change a number are first."""
     return sorted(plain_changes(_settings(a), _settings(b)), key=lambda change: not decides(change.keys))
 
 
@@ -50,25 +50,25 @@ def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
 
 
 def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
-    """Return the leaves in which two plain values differ bit for bit, and changes in the order of terms."""
+    """Return the values that differ bit for bit between two nested mappings, and changes in the order of terms."""
     return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
 
 
 def as_dict(change: Change) -> dict[str, Any]:
     """Return a changed setting as a JSON document."""
-    # JSON has no value for a missing key, so write the marker as text.
+    # JSON has no value for a missing key, so write a missing value as text.
     a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 
 
 def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
-    """Return the settings that differ as text, the first few with their values."""
+    """Return a text that lists the different settings, and the values of the first few settings."""
     texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
     return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
 
 
 def brief(value: Any) -> str:
-    """Return a config value on one short line; for a term, the name of its target."""
+    """Return a config value as one short line of text; shorten a manager term to the name of its function or class."""
     if isinstance(value, Mapping) and "_target_" in value:
         value = str(value["_target_"]).rsplit(".", 1)[-1]
     written = repr(value) if isinstance(value, float) else str(value)
@@ -86,7 +86,7 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
 
 
 def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that a resume changed and that can change a number."""
+    """Return the settings that a resume changed and that can change a number of the training."""
     changed = {str(change.get("key")): change.get("now") for change in entry.get("changes") or ()}
     return {key: value for key, value in changed.items() if decides(tuple(key.split(".")))}
 
@@ -121,7 +121,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
-_WIDEST = 40  # Longer values are cut to this number of characters.
+_WIDEST = 40  # A printed value is cut to this number of characters.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
@@ -147,29 +147,29 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # A process can record this fact only after the import of torch.
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # This fact is unknown before the import of torch.
 
 
 @dataclass(frozen=True)
 class FactDifference:
-    """One fact in which two runs differ."""
+    """One recorded fact that differs between two runs."""
 
-    section: str  # ``code``, ``resumed``, ``distributions``, or a section of the manifest
+    section: str  # A section of the manifest, or ``code``, ``resumed``, or ``distributions``.
     name: str
-    a: Any  # the value in run A; a list if the run was resumed with another value
+    a: Any  # The value in run A; a list of values if a resume changed the value.
     b: Any
-    allows: str | None = None  # why the fact can change the last digits of a number; None if it must not change them
-    forbids: bool = False  # any number can differ by any amount: other code, or a resume inexact beyond the machine
-    note: str = ""  # describes a difference of digests in words
+    allows: str | None = None  # Why the fact can change the last digits of numbers; None if numbers must be equal.
+    forbids: bool = False  # True if numbers can differ by any amount, for example because of different code.
+    note: str = ""  # A description of the difference in words.
 
 
 def environment_differences(
     a: Mapping[str, Any], b: Mapping[str, Any], unknown: Collection[str] = ()
 ) -> list[FactDifference]:
-    """Return how two manifests, or parts of them, differ in ``SECTIONS``.
+    """Return how two manifests, or parts of manifests, differ in the sections ``SECTIONS``.
 
-    A section that only one manifest has is skipped. The facts in ``unknown`` are also skipped, because one run has not
-    recorded them yet.
+    A section that only one manifest has is skipped. The facts named in ``unknown`` are also skipped, because one run
+    has not recorded these facts yet.
     """
     found = []
     for section in SECTIONS:
@@ -184,7 +184,7 @@ def environment_differences(
 
 
 def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
-    """Return how two runs differ in code, environment, and installed distributions."""
+    """Return how two runs differ in code, environment, and installed Python distributions."""
     one, other = a.manifest(), b.manifest()
     facts = environment_differences(one.data, other.data)
     listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
@@ -196,7 +196,7 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return each fact's values in the order of the processes that wrote the run."""
+    """Return the values of each fact, one for each process (start and resumes) that wrote the run, without repeats."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -212,12 +212,12 @@ def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tupl
     if (section, name) == ("threads", "torch"):
         return None if all(map(_independent, manifests)) else _THREADS_OF_TORCH
     if (section, name) == ("hardware", "platform") and [*map(_library, a)] == [*map(_library, b)]:
-        return None  # The platforms differ only in the version of the Linux kernel.
+        return None  # The two platforms differ only in the version of the Linux kernel.
     return _ALLOWING.get(section, {}).get(name)
 
 
 def _independent(manifest: Mapping[str, Any]) -> bool:
-    """Return whether torch's thread count changed no number, as recorded or as MKL was configured."""
+    """Return whether the number of torch threads cannot change a number, according to the manifest or MKL settings."""
     recorded = (_values(manifest, "threads") or {}).get("independent")
     if recorded is not None:
         return all(value is True for value in recorded)
@@ -226,13 +226,13 @@ def _independent(manifest: Mapping[str, Any]) -> bool:
 
 
 def _library(platform: Any) -> str:
-    """Return the system and its C library from ``platform.platform()``, without the kernel's version."""
+    """Return the operating system and C library from ``platform.platform()``, without the kernel version."""
     system, _, library = str(platform).partition("-with-")
     return f"{system.split('-')[0]} {library}" if library else str(platform)
 
 
 def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
-    """Return the source records of each repository, the main one first."""
+    """Return the source record of each repository of a run; the main repository is the first."""
     path = run.source / RECORD_NAME
     try:
         record = read_json(path) if path.is_file() else manifest.data.get("source")
@@ -244,7 +244,7 @@ def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
 def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:
     for number in range(max(len(a), len(b), 1)):
         one, other = (side[number] if number < len(side) else {} for side in (a, b))
-        # The same tree or the same digest means the same files, whatever the commits are.
+        # If the git trees or the digests are equal, the files are equal, even if the commits differ.
         if any(one.get(key) is not None and one.get(key) == other.get(key) for key in ("tree", "content_sha256")):
             continue
         mark = f" ({number + 1})" if number else ""
@@ -252,13 +252,13 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # The records do not identify the files of the source.
+        if not facts:  # The source records do not identify the source files.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
 def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
     """Yield resumes that were not exact, with the reasons: other code, or another machine."""
-    # The resumes are stored by their first iteration, because several resumes can start from one checkpoint.
+    # Group the resumes by their first iteration, because several resumes can start from one checkpoint.
     inexact: tuple[dict[str, list[Mapping[str, Any]]], ...] = ({}, {})
     for found, manifest in zip(inexact, (a, b), strict=True):
         for entry in manifest.data["resumes"]:
@@ -275,7 +275,7 @@ def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
 
 
 def is_the_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether recorded differences of machine and versions are the only reasons for an inexact resume."""
+    """Return whether a resume was inexact only because the computer or the package versions were different."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
     return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
@@ -295,10 +295,10 @@ def _normal(name: str) -> str:
 
 
 def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences that allow other numbers."""
+    """Return the differences that explain unequal numbers in the two runs."""
     return [difference for difference in differences if difference.allows]
 
 
 def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences that rule out a comparison within tolerance."""
+    """Return the differences because of which two runs must not be compared within tolerance."""
     return [difference for difference in differences if difference.forbids]

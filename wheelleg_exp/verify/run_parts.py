@@ -1,4 +1,4 @@
-"""Compare scalars, digests, recordings, and results of two runs over the iterations that both runs have."""
+"""Compare the scalars, digests, recordings, and results of two runs in the iterations that both runs have."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class Span:
     """The iterations of two runs that are compared: the iterations below ``until``."""
 
     until: int
-    whole: bool  # whether neither run has or will have iterations after the compared ones
-    closed: bool  # ``whole``, and both runs ended without being killed, so that no file is cut off
-    shorter: str | None = None  # ``A`` or ``B``, the run with fewer iterations; None if the lengths do not matter
+    whole: bool  # True if neither run has or will get more iterations than the compared ones.
+    closed: bool  # True if ``whole`` is true and no run was killed, so no file is truncated.
+    shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if lengths do not matter.
 
     def covers(self, name: str) -> bool:
-        """Return whether a file belongs to the compared iterations."""
+        """Return whether a file of a run belongs to the compared iterations."""
         checkpoint = CHECKPOINT.fullmatch(name)
         if self.whole or checkpoint is None:
             return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)
@@ -57,7 +57,7 @@ class Span:
 
 
 def measure(run: RunDirectory) -> Measured:
-    """Read a run's status and iteration log, and find its damaged files."""
+    """Read a run's status and iteration log, and find the damaged files of the run."""
     manifest, log = run.manifest(), read_log(run.iterations)
     subject = Subject(run, manifest, effective_status(manifest), log)
     found = damage(subject)
@@ -67,7 +67,7 @@ def measure(run: RunDirectory) -> Measured:
 
 
 def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
-    """Return the iterations of two runs that are compared; raise RunDirectoryError if no iteration can be compared."""
+    """Return which iterations of two runs to compare; raise RunDirectoryError if no iteration can be compared."""
     lengths = len(a.log.lines), len(b.log.lines)
     asked = max(lengths) if iterations is None else iterations
     until = min(*lengths, asked)
@@ -85,9 +85,9 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 
 
 State = Literal["equal", "different", "not compared"]
-Sides = tuple[Measured, Measured]  # the compared runs A and B
+Sides = tuple[Measured, Measured]  # The two compared runs A and B.
 
-_TIME = "seconds"  # Results whose key has this suffix are durations, which can differ between equal runs.
+_TIME = "seconds"  # A result whose key has this suffix is a duration, and durations can differ between equal runs.
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,13 @@ class Part:
     details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return one part of a comparison as a JSON document."""
+        """Return the comparison of one part of two runs as a JSON document."""
         return {"state": self.state, "text": self.text, **self.details}
 
 
 @dataclass(frozen=True)
 class Parting:
-    """The first iteration in which two logs differ, with its differing digests and scalars."""
+    """The first iteration in which two iteration logs differ, and the digests and scalars that differ there."""
 
     iteration: int
     digests: list[str]
@@ -114,12 +114,12 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the digests that both iterations have in one format."""
+    """Return the names of the digests that both log lines have and that were computed by one algorithm."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 
 def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
-    """Return the place at which two logs of equal length first differ; None if the logs are equal."""
+    """Return the first iteration in which two iteration logs of equal length differ; None if the logs are equal."""
     for one, other in zip(a, b, strict=True):
         names = compared_digests(one, other)
         digests = [name for name in names if one.digests[name] != other.digests[name]]
@@ -130,13 +130,13 @@ def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
 
 
 def differing_scalars(a: Line, b: Line) -> list[str]:
-    """Return the scalars that differ in two iterations. A missing scalar is a difference, and 0.0 differs from -0.0."""
+    """Return the scalars that differ in two log lines. A missing scalar is a difference, and 0.0 differs from -0.0."""
     names = dict.fromkeys([*a.scalars, *b.scalars])
     return [n for n in names if n not in a.scalars or n not in b.scalars or repr(a.scalars[n]) != repr(b.scalars[n])]
 
 
 def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the scalars of two runs in every iteration."""
+    """Compare the logged scalars of two runs in every iteration."""
     changed = {x.iteration: names for x, y in zip(a, b, strict=True) if (names := differing_scalars(x, y))}
     if not a:
         return Part("not compared", "the runs have no common iteration")
@@ -150,7 +150,7 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the digests of two runs in every iteration by name."""
+    """Compare the logged digests of two runs in every iteration."""
     names: dict[str, int] = {}
     first: dict[str, int] = {}
     for one, other in zip(a, b, strict=True):
@@ -168,7 +168,7 @@ def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the training recordings entity by entity, without texts and wall-clock times."""
+    """Compare the training recordings of two runs entity by entity, without texts and wall-clock times."""
     ones, others = a.recording, b.recording
     if not ones.exists() or not others.exists():
         owners = [side for side, path in (("A", ones), ("B", others)) if path.exists()]
@@ -191,13 +191,13 @@ def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
 
 
 def some(names: Sequence[str], shown: int = 3) -> str:
-    """Return the first few names as text, and the number of the remaining names."""
+    """Return a text with the first few names, and with the number of the remaining names."""
     hidden = len(names) - shown
     return ", ".join(names[:shown]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 def results_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the results in the manifests of two runs, without durations."""
+    """Compare the results in the manifests of two runs, but not the durations."""
     ones, others = ({k: v for k, v in run.manifest().results.items() if not k.endswith(_TIME)} for run in (a, b))
     if not ones or not others:
         owners = [side for side, results in (("A", ones), ("B", others)) if results]

@@ -1,4 +1,4 @@
-"""Compare two trees of tensors, numbers, and text bit by bit. Import this module lazily: it imports torch."""
+"""Compare nested mappings of tensors, numbers, and text bit by bit. Import this module lazily: it imports torch."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _ABSENT = "(absent)"
 
 @dataclass(frozen=True)
 class Difference:
-    """One leaf in which two trees A and B differ, with its dotted name."""
+    """One tensor, number, or text that differs between two nested mappings A and B, and its dotted name."""
 
     name: str
-    kind: str  # ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``
-    a: Any  # the value at ``index``, or the shape, dtype, or kind
+    kind: str  # One of ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, and ``only in B``.
+    a: Any  # The value at ``index`` in A, or the shape, dtype, or type in A.
     b: Any
     index: tuple[int, ...] = ()  # of the largest difference
-    largest: float | None = None  # absolute; NaN if only one side is NaN or infinite
-    relative: float | None = None  # largest absolute difference divided by the larger magnitude of the two values
-    count: int = 1  # ``count`` of ``of`` elements differ
+    largest: float | None = None  # The largest absolute difference; NaN if only one value is NaN or infinite.
+    relative: float | None = None  # The largest absolute difference, divided by the larger magnitude.
+    count: int = 1  # Of ``of`` elements, ``count`` elements differ.
     of: int = 1
 
 
 def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
-    """Yield the leaves in which two trees differ, in the order of A and then of B."""
+    """Yield the tensors, numbers, and texts that differ between two nested mappings, in the order of A, then of B."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             yield from _child(a, b, key, f"{name}.{key}" if name else str(key))
@@ -56,14 +56,14 @@ def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
 
 
 def count_leaves(tree: Any) -> int:
-    """Return the number of tensors, numbers, and texts in a tree."""
+    """Return the number of tensors, numbers, and texts in a nested mapping or list."""
     if isinstance(tree, Mapping):
         return sum(map(count_leaves, tree.values()))
     return sum(map(count_leaves, tree)) if isinstance(tree, (list, tuple)) else 1
 
 
 def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
-    """Return ``|a - b| / |b|`` over all tensors of two flat mappings, Euclidean; inf if the shapes differ."""
+    """Return the Euclidean distance ``|a - b| / |b|`` over all tensors of two mappings; inf if the shapes differ."""
     if a.keys() != b.keys() or any(a[name].shape != b[name].shape for name in a):
         return math.inf
     apart = sum(float((a[name].double() - b[name].double()).square().sum()) for name in a)
@@ -86,17 +86,17 @@ def _brief(value: Any) -> str:
 
 def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     width = a.element_size()
-    # Compare the bits of floats, because NaN != NaN and -0.0 == 0.0 for values.
+    # Compare the bits of floats, because NaN != NaN and -0.0 == 0.0 if values are compared.
     bits = [torch.frombuffer(bytearray(tensor_bytes(x)), dtype=torch.uint8).reshape(-1, width) for x in (a, b)]
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
     apart = (ones - others).abs()
-    # inf - inf and NaN - NaN are NaN, so set the difference of equal infinities, of two NaNs, and of two zeros to 0.
+    # Because inf - inf is NaN, set the difference of equal values and of two NaN values to 0.
     apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0
     odd = differs & ~apart.isfinite()
     if bool(odd.any()):
         at = int(odd.int().argmax())
-    else:  # Take the largest difference. If all values are equal, take the first element whose bits differ.
+    else:  # Find the element with the largest difference, otherwise the first element whose bits differ.
         at = int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
     largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
     scale = max(abs(one), abs(other))

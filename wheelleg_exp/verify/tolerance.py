@@ -1,22 +1,23 @@
 """Decide whether two runs with unequal numbers are the same training up to rounding.
 
-A training amplifies a difference in the last digit of a number. Two runs of the stock task with other matrix kernels
-agree to 1e-6 for about four iterations, and after eight iterations only their statistics agree. Therefore no tolerance
-can apply to every iteration. Two runs are within tolerance if they pass two tests:
+A training amplifies a difference in the last digit of a number. Two runs of the stock task with different matrix
+kernels agree to 1e-6 for about four iterations; after eight iterations, only the statistics of the runs agree.
+Therefore no tolerance can apply to the numbers of every iteration. Two runs are within tolerance if they pass two
+tests:
 
 - Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
-  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. Other matrix kernels gave
-  a deviation of 1e-6, another seed one of at least 0.4.
+  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. Different matrix kernels
+  caused a deviation of 1e-6, a different seed caused at least 0.4.
 - End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
-  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation is
-  large while a run still learns fast. After 110 iterations, the deviation was 0.001 of the range.
+  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. This fluctuation
+  is large while a run still learns fast. In a test with 110 iterations, the mean return deviated by 0.001 of its range.
 
-Iterations without a value of the figure are skipped, such as those before the end of the first episode. A figure that
-only one run has at the end fails the test. A figure that is missing in both runs gives a note. Runs of at least 50
-iterations without any comparable figure are not within tolerance. Shorter runs, and the first parts of runs, only need
-to pass the start test.
+Iterations in which the return or length has no value are skipped, such as iterations before the end of the first
+episode. If only one run has a return or length at the end, the runs fail the end test. If both runs lack the value, the
+result has a note. Runs of at least 50 iterations are not within tolerance if neither return nor length can be compared.
+Runs of fewer than 50 iterations, and the first parts of longer runs, only need to pass the start test.
 
-If no known difference of the runs allows unequal numbers, every bit must be equal and these tests do not apply.
+If no known difference between the runs explains unequal numbers, every bit must be equal, and no tolerance applies.
 """
 
 from __future__ import annotations
@@ -31,53 +32,53 @@ from wheelleg_exp.run.iteration_log import Line
 
 START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # The ends of runs with fewer iterations are not compared.
-_TINY = 1e-9  # Smaller magnitudes are treated as zero, because small scalars are often means of terms that cancel.
+_SHORTEST = 50  # The end test is not applied to runs with fewer iterations.
+_TINY = 1e-9  # Magnitudes below this number are treated as zero, because small means are often sums that cancel.
 
 
 @dataclass(frozen=True)
 class Excess:
-    """One number of two runs, its deviation between the runs, and the largest allowed deviation."""
+    """One number in two runs, the deviation between both runs, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # None for a mean over the last iterations
+    iteration: int | None  # None if the number is a mean over the last iterations.
     a: float
     b: float
-    off: float  # relative in the first differing iteration, absolute at the end of the runs
+    off: float  # The deviation: relative in the start test, absolute in the end test.
     allowed: float
 
     @property
     def within(self) -> bool:
-        """Whether the number's deviation between the two runs is allowed."""
+        """True if the deviation of the number between the two runs is allowed."""
         return self.off <= self.allowed
 
     @property
     def sign(self) -> str:
-        """Whether the deviation is below or above the largest allowed deviation, in words."""
+        """The text ``within`` if the deviation is allowed, otherwise ``more than``."""
         return "within" if self.within else "more than"
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The measured deviations of two runs."""
+    """The measured deviations between two runs."""
 
-    start: list[Excess]  # largest deviations in the first iteration that differs
-    end: list[Excess]  # the deviation of each figure at the end
-    note: str = ""  # which figures were not compared
-    needs_end: bool = False  # whether the last iterations of both runs had to be compared
+    start: list[Excess]  # The largest deviations in the first iteration that differs.
+    end: list[Excess]  # The deviation of the return and of the episode length at the end.
+    note: str = ""  # A note that says what was not compared.
+    needs_end: bool = False  # True if the end test was required.
 
     @property
     def unknown(self) -> bool:
-        """Whether the first differing iteration is within tolerance, but the necessary end test was impossible."""
+        """True if the runs passed the start test, but the required end test was impossible."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """Whether all deviations that had to be compared are allowed."""
+        """True if the runs passed all required tests."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
-        """Return the iteration in which the runs first differ, and the largest deviation there."""
+        """Return a text with the first iteration in which the runs differ, and the largest deviation in it."""
         worst = max(self.start, key=lambda excess: excess.off, default=None)
         if worst is None:
             return "digests differ, and no scalar does"
@@ -85,12 +86,12 @@ class Tolerance:
         return f"they first differ in iteration {worst.iteration} by at most {worst.off:.1e} ({worst.name}){alike}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the deviations of two runs as a JSON document."""
+        """Return the deviations between two runs as a JSON document."""
         rows = {side: [asdict(e) | {"within": e.within} for e in getattr(self, side)] for side in ("start", "end")}
         return {"within": self.within, **rows, "note": self.note}
 
     def lines(self) -> list[str]:
-        """Return the deviations of two runs as printed lines."""
+        """Return the lines of text that report the deviations between two runs."""
         lines = []
         for x in self.start:
             values = "" if math.isnan(x.a) else f" (A {x.a:.9g}, B {x.b:.9g})"
@@ -103,10 +104,11 @@ class Tolerance:
 
 
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
-    """Measure the deviations of two runs in the iterations that both runs have.
+    """Measure the deviations between two runs in the iterations that both runs have.
 
-    ``parameters`` is the first differing iteration and the relative distance of the networks there, if both runs saved
-    a checkpoint. ``whole`` is true if both runs ended with the last of these iterations.
+    ``parameters`` contains the first differing iteration and the relative distance between the networks' parameters in
+    this iteration; it is None if a run saved no checkpoint there. ``whole`` is true if ``a`` and ``b`` contain all
+    iterations of the runs.
     """
     parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
     start = [] if parting is None else [_start(*parting)]
@@ -122,12 +124,12 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
 
 
 def _start(a: Line, b: Line) -> Excess:
-    """Return the scalar of an iteration with the largest deviation."""
+    """Return the scalar with the largest deviation between two log lines of one iteration."""
     excesses = []
     for name in dict.fromkeys([*a.scalars, *b.scalars]):
         one, other = a.scalars.get(name), b.scalars.get(name)
         if one != other:
-            # NaN is stored as text, and one run can lack the scalar.
+            # The log contains NaN as text, and a scalar can be missing in one run.
             x, y = _number(one), _number(other)
             off = math.inf if math.isnan(x) or math.isnan(y) else abs(x - y) / max(abs(x), abs(y), _TINY)
             excesses.append(Excess(name, a.iteration, x, y, off, START))
@@ -135,14 +137,14 @@ def _start(a: Line, b: Line) -> Excess:
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
-    """Return the deviation of a figure over the last tenth of the iterations; None if neither run has it there."""
+    """Return the deviation of a scalar's mean over the last tenth of the iterations; None if both runs lack it."""
     ones, others = ([_number(line.scalars.get(name)) for line in lines] for lines in (a, b))
     last = max(len(a) // 10, 2)
     one, other = _finite(ones[-last:]), _finite(others[-last:])
     if not (one or other):
         return None
     mean_a, mean_b = (statistics.fmean(values) if values else math.nan for values in (one, other))
-    if min(len(one), len(other)) < 2:  # The fluctuation of a figure needs at least two values.
+    if min(len(one), len(other)) < 2:  # The standard deviation needs at least two values.
         return Excess(name, None, mean_a, mean_b, math.inf, 0.0)
     values = _finite([*ones, *others])
     fluctuation = math.sqrt(statistics.variance(one) + statistics.variance(other))

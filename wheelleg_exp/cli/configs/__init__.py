@@ -1,4 +1,4 @@
-"""Commands that read configs and simulate nothing.
+"""Commands that read configs and run no simulation.
 
 | module | contents |
 |---|---|

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the composed config, the place that set each value, or the layout of observations and actions."""
+    """Print the composed config, the file and line that set each value, or the layout of observations and actions."""
     if args.shapes and (args.package or args.resolve or args.provenance):
         expected = "--shapes without --package, --resolve and --provenance"
         message = "the option --shapes cannot be combined with other options"
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     import yaml
 
-    # PyYAML breaks a line only after the entry that exceeds the width, so the width is less than 80.
+    # PyYAML exceeds the given line width by up to one entry, so the width is less than 80 characters.
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
     print(text.removesuffix("...\n"), end="")
     return EXIT_OK
@@ -93,7 +93,7 @@ def _print_provenance(composed: Composed, package: str | None, *, resolve: bool,
 
 
 def _print_line(text: str, place: str) -> None:
-    """Print a text and its place in a YAML file on one line, or on two lines if the screen is too narrow."""
+    """Print a config value and the place that set the value, on one line, or on two lines on a narrow screen."""
     line = text + place
     print(line if len(line) <= screen_width() else f"{hanging(text, 4)}\n    {place.lstrip()}")
 

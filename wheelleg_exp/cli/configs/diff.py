@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.explaining.config_diff import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
-_WIDEST = 44  # Config values are cut to this number of characters.
+_WIDEST = 44  # The printed text of a config value is cut to this number of characters.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the differences of two configs; return status 0 for equal and 1 for different configs."""
+    """Print the differences between two configs; return status 0 for equal configs and 1 for different configs."""
     from wheelleg_exp.config.explaining.config_diff import compare
     from wheelleg_exp.jobs.diff_inputs import load_sides
 
@@ -71,7 +71,7 @@ def _row(change: PlacedChange) -> tuple[str, ...]:
 
 
 def _brief(value: Any) -> str:
-    """Return a config value on one line; for a term, the name of its target and its weight or mode."""
+    """Return a config value as one line of text; shorten a manager term to its function name and weight or mode."""
     if isinstance(value, Mapping) and "_target_" in value:
         fields = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
         return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *fields])

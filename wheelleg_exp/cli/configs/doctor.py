@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings about a robot; return status 0 without findings, 1 with findings, 2 for wrong input."""
+    """Print the defects found in a robot model; return status 0 without defects, 1 with defects, 2 for wrong input."""
     if args.screenshot is not None:
         from wheelleg_exp.inspection.robot_picture import require_picture
 

@@ -17,7 +17,7 @@ from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
 _LABEL = 14
-_SHOWN = 24  # A list of values or keys is printed up to this length.
+_SHOWN = 24  # At most this number of values or keys of a list is printed.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Explain a config key, which can be at any place among the overrides."""
+    """Print the explanation of a config key; the key can be given before, between, or after the overrides."""
     words = [args.key, *args.overrides]
     keys = [index for index, word in enumerate(words) if not is_override(word)]
     key = words.pop(keys[0] if len(keys) == 1 else 0)
@@ -40,13 +40,13 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     for line in text(explained):
         blanks = len(line) - len(line.lstrip())
-        # The lines of a wrapped text are indented to the column after its label.
+        # The lines of a wrapped text are indented to the column at which the text starts after its label.
         print(hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line)
     return EXIT_OK
 
 
 def text(explained: Explanation) -> Iterator[str]:
-    """Yield the explanation of a config key as printed lines."""
+    """Yield the lines of text that explain a config key."""
     yield _headline(explained)
     if not explained.is_read:
         yield "  warning     nothing reads this key"
@@ -126,7 +126,7 @@ def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return example overrides that select the remaining options of a config group."""
+    """Return example overrides that select another option of a Hydra config group."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]
@@ -143,7 +143,7 @@ def _cut(values: list[str]) -> str:
 
 
 def document(explained: Explanation) -> dict[str, Any]:
-    """Return the JSON document of the explanation of a config key."""
+    """Return the explanation of a config key as a JSON document."""
     other, mount, group = explained.alternatives, explained.mount, dict[str, Any]()
     if mount is not None:
         group = {"name": mount.name, "package": mount.package, "option": explained.option}

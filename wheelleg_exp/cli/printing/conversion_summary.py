@@ -17,8 +17,8 @@ from wheelleg_exp.errors import printable
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
 
-ROWS = 15  # At most this number of rows of a table or list is printed.
-JOINTS = 40  # At most this number of joints is printed.
+ROWS = 15  # At most this number of rows is printed for a table or list.
+JOINTS = 40  # At most this number of joints is printed for one robot.
 WIDTH = 60  # A cell of a table has at most this number of characters.
 NAMED = 6  # A list on one line has at most this number of names.
 LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
@@ -26,7 +26,7 @@ VERDICTS = {"good": "converted without doubts", "check": "converted, check the r
 
 
 def show(conversion: Conversion, scene: Path | None) -> None:
-    """Print a conversion's verdict, warnings, summary, joints, assumptions, left-out items, and the next commands."""
+    """Print a robot conversion's verdict, warnings, summary, joints, assumptions, left-out items, and next commands."""
     report = conversion.report
     count, reasons = len(report.warnings), list(report.verdict.reasons)
     if report.verdict.level == "check" and count:
@@ -49,7 +49,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     order = report.dof_order  # The printed table lists the joints in MuJoCo's order.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
-    # A row for each rule of assumption: its value, and the places where it was used.
+    # Print one row for each kind of assumption, with the assumed value and the places where the value was used.
     rules: dict[str, dict[str, str]] = {}
     for item in report.assumptions:
         rules.setdefault(item.rule, {})[item.path] = item.value
@@ -102,11 +102,11 @@ def _few(names: Sequence[str], most: int = NAMED, more: str = "") -> str:
 
 
 def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
-    """Return a table row in SI units for each degree of freedom, with the robot file's values if they differ."""
+    """Return a table row in SI units for each joint, with the original values of the robot file if these differ."""
     from wheelleg_exp.asset.robot_values import effort_of
 
     report, robot = conversion.report, conversion.description
-    # Find the joints that an actuator of the MJCF file drives.
+    # Find the joints that are driven by an actuator of the MJCF file.
     acting = {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
     rows: list[tuple[str, ...]] = []
     for dof in robot.dofs:
@@ -116,7 +116,7 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
         limits = "unlimited"
         if dof.range is not None:
             limits = f"{dof.range[0]:.4g} to {dof.range[1]:.4g} {unit_of_range}"
-        # A joint's limits and gains in the units of the robot file, or nothing if the model has equal values.
+        # List a joint's limits and gains in the robot file's units if they differ from the MJCF values.
         authored = report.authored.get(dof.path, {})
         by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
         low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
@@ -153,7 +153,7 @@ def _shortly(value: Any) -> str:
 
 
 def _left_out(report: Report) -> None:
-    # Items that were left out for these reasons do not affect the robot's motion, so print them last.
+    # Print last the left-out items that do not affect the robot's motion.
     harmless = ("declared without", "a note of", "there is one")
     items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
     if items:
@@ -172,7 +172,7 @@ def _short(text: str) -> str:
 
 
 def _grouped(warnings: Sequence[str]) -> list[str]:
-    """Merge the warnings of a conversion that differ only in places, names and numbers."""
+    """Merge conversion warnings whose texts differ only in file positions, names, and numbers."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for warning in warnings:
         path, colon, text = warning.partition(": ")

@@ -71,7 +71,7 @@ def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> Non
 
 
 def print_comparison(found: RecordingComparison, first: Recording, second: Recording, limit: int) -> None:
-    """Print how many entities of two recordings are equal, and the first difference of each recorded number."""
+    """Print how many entities are equal in two recordings, and where each recorded number first differs."""
     print(f"a: {shown(first.path.absolute())}\nb: {shown(second.path.absolute())}\n")
     if found.is_equal:
         print(f"equal to the last bit: {len(found.equal)} entities")
@@ -155,14 +155,15 @@ def number(value: float | None) -> str:
     return "-" if value is None else "nan" if math.isnan(value) else f"{value:.4g}"
 
 
-_NOTES = 3  # At most this number of a recording's last notes is printed.
+_NOTES = 3  # At most this number of notes is printed, namely the last notes of a recording.
 
 
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
-    """Print the contents of a recording, and its figures as tables.
+    """Print tables of a recording's contents and performance figures.
 
-    The argument ``others`` contains the run's remaining recordings, and ``selection`` the rows that the figures cover.
-    The argument ``status`` is the run's status for a training recording, and None for a play recording.
+    The argument ``others`` contains the paths of the run's other recordings. The figures are computed from the rows
+    that ``selection`` selects. The argument ``status`` is the run's status for a training recording, and None for a
+    play recording.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:
@@ -256,7 +257,7 @@ def _valued(value: float, word: str, step_dt: float | None) -> str:
 
 
 def _scope(summary: Summary, selection: Selection) -> str:
-    """Return a text that names the recorded frames on which the figures are based."""
+    """Return a text that names the recorded frames from which the figures were computed."""
     frames = "{} of {} recorded frames".format(*summary.frames or (0, 0))
     if summary.sample is None:
         return frames if not selection.is_all else f"all {frames.split()[0]} recorded frames"

@@ -1,4 +1,4 @@
-"""Print the figures of plays and agents, and the metrics of one or several evaluations."""
+"""Print the performance figures of simulated policies, and the metrics of one or several evaluations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
-# These figures do not cover the settling time at the start of an episode.
+# The following figures exclude the settling time at the start of an episode.
 _SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")
 
 _MOTION: Mapping[str, Callable[[float], str]] = {
@@ -31,7 +31,7 @@ _MOTION: Mapping[str, Callable[[float], str]] = {
 
 
 def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
-    """Print the figures of a play, each with the number of steps or episodes on which it is based."""
+    """Print the figures of a play, each with the number of steps or episodes from which the figure was computed."""
     ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
     of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
     values = {
@@ -55,7 +55,7 @@ def print_figures(figures: StandFigures, motion: MotionFigures | None = None) ->
 
 
 def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
-    """Print the contact force on each link of the robot while the robot stood still."""
+    """Print the contact force on each robot link, measured while the robot stood still."""
     from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
 
     steps = _counted(rows[0].steps if rows else 0, "step")
@@ -134,7 +134,7 @@ def _row(name: str, figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]
 
 
 def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evaluated | None) -> None:
-    """Print every metric of the runs and of the reference controller side by side."""
+    """Print every metric of the evaluated runs and of the reference controller side by side in one table."""
     from wheelleg_exp.jobs.evaluate_policy import display_name
 
     print(f"protocol {made.content['protocol']}, scenarios {made.content['scenarios_sha256'][:12]}")
@@ -165,7 +165,7 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
 
 
 def print_differences(made: Compared) -> None:
-    """Print the differences between two groups of runs for each metric, and the verdict."""
+    """Print the difference between two groups of runs for each metric, and a sentence that names the better group."""
     rows = [_difference(row) for row in made.differences if row.better and math.isfinite(row.interval.value)]
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)

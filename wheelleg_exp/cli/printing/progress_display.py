@@ -46,7 +46,7 @@ class LiveLines:
         )
 
     def say(self, text: str) -> None:
-        """Print one line; a line of progress moves below it."""
+        """Print one line of text above the progress bars."""
         self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
     def __enter__(self) -> Self:
@@ -60,7 +60,7 @@ class LiveLines:
 
 
 class ConsoleDisplay(LiveLines, Display):
-    """Show the progress of a job on standard error; ``quiet`` omits the tables of the managers."""
+    """Show the progress of a job on standard error; if ``quiet`` is true, do not print the tables of the managers."""
 
     def __init__(self, quiet: bool = False) -> None:
         super().__init__(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
@@ -91,7 +91,7 @@ class ConsoleDisplay(LiveLines, Display):
         self._advance("playing", done, total, "")
 
     def _work(self, what: str, done: int, total: int) -> None:
-        """Show the progress of the preparation of a job, in plain lines only if the preparation is slow."""
+        """Show the progress of a job's preparation; without a terminal, print lines only if the preparation is slow."""
         if self._live:
             self._advance(what, done, total, "")
             if done == total and self._task is not None:
@@ -101,7 +101,7 @@ class ConsoleDisplay(LiveLines, Display):
             self.note(f"{what} {done}/{total}")
 
     def test(self, name: str, done: int, total: int) -> None:
-        """Show the progress of a test of an evaluation."""
+        """Show the progress of one test of a policy evaluation."""
         self._advance(name, done, total, "")
 
     def _advance(self, what: str, done: int, total: int, figures: str) -> None:
@@ -131,7 +131,7 @@ def figures(scalars: Mapping[str, float]) -> str:
 
 
 class ConsoleSweepDisplay(LiveLines):
-    """Show the progress of a sweep on standard error; a note that several jobs repeat is shown once."""
+    """Show the progress of a sweep on standard error; a note that several jobs emit is printed only once."""
 
     def __init__(self) -> None:
         super().__init__(TimeElapsedColumn())
@@ -141,7 +141,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._all: TaskID | None = None
 
     def checking(self, done: int, total: int) -> None:
-        """Show how many jobs of the sweep have been checked."""
+        """Show how many jobs of the sweep have been checked so far."""
         if not self._live:
             return
         if self._all is None:
@@ -149,7 +149,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._progress.update(self._all, completed=done)
 
     def checked(self) -> None:
-        """Restart the progress bar after the check, to count the jobs that have ended."""
+        """Reset the progress bar after all jobs were checked; from now on, the bar counts the jobs that have ended."""
         if self._all is not None:
             self._progress.reset(self._all, description="jobs that have ended")
 
@@ -173,7 +173,7 @@ class ConsoleSweepDisplay(LiveLines):
         """Show how a job ended."""
         if self._live:
             task = self._tasks.pop(job["number"], None)
-            if task is not None:  # The index records no task for a sweep job that was never started.
+            if task is not None:  # A sweep job that was never started has no progress bar.
                 self._progress.remove_task(task)
             if self._all is not None:
                 self._progress.advance(self._all)

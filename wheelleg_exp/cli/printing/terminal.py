@@ -20,9 +20,9 @@ from wheelleg_exp.errors import printable
 
 
 class LastingStream:
-    """A text stream that ignores writes after its reader has disappeared.
+    """A text stream that ignores writes after the process that reads the stream has closed the pipe.
 
-    The argument ``losses`` contains the exception types that mean that the reader has closed the stream. In a
+    The argument ``losses`` contains the exception types that a write raises when the reader has closed the stream. In a
     ``styled`` stream, text can contain escape sequences; otherwise control characters are written as text.
     """
 
@@ -30,11 +30,11 @@ class LastingStream:
         self._stream, self._losses, self._styled = stream, losses, styled
 
     def styled(self) -> LastingStream:
-        """Return the stream without escaping, for colours and moving lines; the caller must escape untrusted text."""
+        """Return the stream without escaping of control characters; the caller must escape untrusted text."""
         return LastingStream(self._stream, *self._losses, styled=True)
 
     def write(self, text: str) -> int:
-        """Write a text, with question marks for the characters that the encoding lacks, and return its length."""
+        """Write a text and return its length; write a question mark for each character that the encoding lacks."""
         shown = text if self._styled else printable(text)
         try:
             try:
@@ -46,7 +46,7 @@ class LastingStream:
         return len(text)
 
     def flush(self) -> None:
-        """Flush the text stream, unless its reader has disappeared."""
+        """Flush the text stream; ignore the error if the reader has closed the pipe."""
         try:
             self._stream.flush()
         except self._losses:
@@ -65,16 +65,16 @@ class LastingStream:
 
 
 def styled(stream: Any) -> Any:
-    """Return a standard stream for colours and moving lines (see ``LastingStream.styled``)."""
+    """Return standard output or standard error for text with colours and moving lines (``LastingStream.styled``)."""
     return stream.styled() if isinstance(stream, LastingStream) else stream
 
 
 @contextmanager
 def lasting_streams() -> Iterator[None]:
-    """Inside the block, ignore a closed pipe on standard output, and every write error on standard error.
+    """Inside the ``with`` block, ignore a closed pipe on standard output, and every write error on standard error.
 
-    A closed terminal, or a full disk behind standard error, must not stop a training. Standard output is the result of
-    the command, so its other write errors are raised.
+    A closed terminal, or a full disk behind standard error, must not stop a training. Standard output contains the
+    result of the command, so all its write errors except a closed pipe are raised.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)
@@ -98,24 +98,24 @@ def shown(path: Path) -> str:
 
 
 PLAIN_WIDTH = 100
-_GAP = 2  # The number of spaces between two columns.
-_LEAST_WRAPPED = 12  # A table cell is not wrapped to fewer characters per line.
-_MOST_LINES = 3  # A cell of a table is wrapped to at most this number of lines.
+_GAP = 2  # The number of spaces between two columns of a table.
+_LEAST_WRAPPED = 12  # A wrapped table cell has at least this number of characters per line.
+_MOST_LINES = 3  # A wrapped table cell has at most this number of lines.
 _INDENT = "    "
 
 Row = Sequence[object]
 
 
 def screen_width() -> int:
-    """Return the width of the screen in characters."""
+    """Return the width of the terminal in characters, or 100 without a terminal."""
     return shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns if sys.stdout.isatty() else PLAIN_WIDTH
 
 
 def wrapped(text: str, width: int) -> list[str]:
     """Wrap a text into lines of at most ``width`` characters.
 
-    A word that is longer than a line breaks after ``/``, ``.``, ``,`` and ``_``. A word without these characters is not
-    broken, so that users can copy it.
+    A word that is longer than a line is split after ``/``, ``.``, ``,`` and ``_``. A word that contains none of these
+    four characters is never split, so that users can copy the word.
     """
     lines = [""]
     for piece in re.findall(r" *[^ ]+", text):
@@ -144,8 +144,8 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the screen, with a hanging indent.
 
-    The argument ``first`` is a label before the first line, padded with spaces to the indent. If ``first`` is empty,
-    the first line of the text is not indented.
+    The argument ``first`` is a label before the first line, padded with spaces to the width of the indent. If ``first``
+    is empty, the first line of the text is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""
@@ -153,16 +153,16 @@ def hanging(text: str, indent: int, first: str = "") -> str:
 
 
 def table_width(columns: Sequence[str], rows: Sequence[Row]) -> int:
-    """Return the width of a plain table in characters."""
+    """Return the width of a table without lines between its cells, in characters."""
     widths = _widths(columns, _cells(rows))
     return sum(widths) + _GAP * (len(widths) - 1)
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, lines: bool = True) -> None:
-    """Print a table; if it is wider than the screen, wrap the widest columns, or print each row as a block of lines.
+    """Print a table; if the table is too wide, wrap its widest columns, or print each row as a block of lines.
 
-    The first ``heads`` cells form the heading of a row's block. If ``lines`` is true, lines are drawn between cells on
-    a terminal.
+    In a block of lines, the first ``heads`` cells of the row form the heading. If ``lines`` is true, a terminal shows
+    lines between the cells of the table.
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
@@ -190,7 +190,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
     """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines."""
-    # The columns with long titles are narrowed first, then the widest columns.
+    # Narrow the columns with long titles first, and then the widest columns.
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]
     below_titles = [max([pieces[i], *(len(row[i]) for row in rows[1:])]) for i in columns]
