@@ -52,7 +52,7 @@ def render_page(page: Page) -> str:
 
 
 NAME = "report.html"
-_HEAD = 4096  # The first 4096 bytes of a report contain its mark.
+_HEAD = 4096  # The first 4096 bytes of a report contain the mark with the run's name.
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:
