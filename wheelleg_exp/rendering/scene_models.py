@@ -32,7 +32,7 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the scene of a compiled model; all bodies except the world become bodies of the scene, in order.
+    """Return the scene of a compiled model; all bodies except the world become bodies of the scene, in model order.
 
     The camera follows the body ``root``; ``size`` is the height of the robot, m.
     """
