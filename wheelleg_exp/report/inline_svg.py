@@ -1,8 +1,8 @@
 """Draw matplotlib plots as inline SVG of an HTML page.
 
-``drawn`` draws each panel separately, narrow enough for a phone, with the panel's title as text of the page. ``clean``
-makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference leaves the
-page.
+``drawn`` draws each panel separately, narrow enough for a phone, with the panel's title as text of the HTML page.
+``clean`` makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference
+leaves the page.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
 def _attributes(element: ElementTree.Element, prefix: str) -> Iterator[tuple[str, str]]:
     for name, value in element.attrib.items():
         local = _local(name)
-        # A reference inside the SVG gets the prefix, because ids get the prefix. References to other files are removed.
+        # A reference inside the SVG gets the same prefix as the ids. References to other files are removed.
         if local == "href" and value.startswith("#"):
             yield "href", f"#{prefix}-{value[1:]}"
         elif local == "id":

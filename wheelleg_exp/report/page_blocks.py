@@ -75,7 +75,7 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True  # false if a heading above the table replaces the title
+    titled: bool = True  # whether the page shows the table's title; false if a heading replaces the title
 
 
 @dataclass(frozen=True)

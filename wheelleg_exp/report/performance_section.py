@@ -39,7 +39,7 @@ class Measured:
 
 
 def measured(recording: Recording) -> Measured:
-    """Return the report's tables about a recording; no tables if the recording's rows are damaged."""
+    """Return the report's tables about a recording; the tables are empty if the recording's rows are damaged."""
     from wheelleg_exp.inspection.recording_summary import summarize
 
     try:
@@ -281,7 +281,7 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
 _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
-_SHOWN_FIRST = 12  # The report shows so many metrics of a test; the remaining metrics are in a collapsed block.
+_SHOWN_FIRST = 12  # The report shows this many metrics of a test; the remaining metrics are in a collapsed block.
 
 
 def evaluated(subject: Subject) -> bool:

@@ -163,7 +163,7 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the episode that the pictures show, and the sample of this episode."""
+    """Return the sample and the episode that the pictures of the report show."""
     # ``_FIRST`` selects the first training episode.
     # ``_PLAY`` selects the first episode of a play, whose metrics the report lists.
     # ``_LAST`` selects the first complete episode of the last sample that has a complete episode.

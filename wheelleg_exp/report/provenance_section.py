@@ -224,7 +224,7 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 class Repeat:
     """Another run that should be bitwise equal to the reported run, and the result of the comparison."""
 
-    label: str  # the other run's task and id
+    label: str  # the task and id of the compared run
     how: str  # the relation of the runs: ``replay``, ``original``, or ``same settings``
     verdict: str  # the verdict of the comparison, or ``not compared``
     reason: str
@@ -242,7 +242,7 @@ class Verdict:
     problem: str = ""
 
     def blocks(self) -> list[Block]:
-        """Return the section of the report on reproducibility."""
+        """Return the blocks of the report's section on reproducibility."""
         subject, found = self.subject, [*_found(self), *_repeated(self)]
         if original := subject.manifest.get("replay_of"):
             found.append(Text(f"This run is itself a replay of {original}."))
@@ -253,7 +253,7 @@ class Verdict:
 
 
 def judge(subject: Subject) -> Verdict:
-    """Check a run against its manifest, and compare the run with its replays and with runs of the same settings."""
+    """Check a run against its manifest, and compare the run with its replays and with runs of equal settings."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
     from wheelleg_exp.verify import verify_run

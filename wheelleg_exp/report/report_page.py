@@ -56,7 +56,7 @@ _HEAD = 4096  # The first 4096 bytes of a report contain the mark with the run's
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:
-    """Return the path of the report; raise WheellegError if another file has the path or the folder is not writable."""
+    """Return the path of the report; raise WheellegError if the path is taken by another file or is not writable."""
     path = subject.path / NAME if output is None else output
     if path.is_dir():
         raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")

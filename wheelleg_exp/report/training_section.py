@@ -15,7 +15,7 @@ from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Tab
 from wheelleg_exp.report.report_subject import Subject
 from wheelleg_exp.report.value_format import brief, exact, number
 
-_POINTS = 800  # A curve is thinned to so many points, because more points are not visible.
+_POINTS = 800  # A curve is thinned to this many points, because more points are not visible.
 _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_episode_length"))
 
 
