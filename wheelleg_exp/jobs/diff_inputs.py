@@ -94,7 +94,7 @@ def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
 
 
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
-    """Return the file or override that set or deleted a config key, or that chose a list of terms without this key."""
+    """Return the file line or the override that set or deleted a config key, or None."""
     places, keys = composed.provenance, split_path(path)
     lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
     if path in lists:
@@ -112,7 +112,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     def where(path: str) -> str | None:
         for text in reversed(typed):
             keys = split_path(text.lstrip("+~").split("=", 1)[0])
-            if keys and split_path(path)[: len(keys)] == keys:  # The override sets ``path`` or a parent of ``path``.
+            if keys and split_path(path)[: len(keys)] == keys:  # The override sets the key or a parent key.
                 return f"override {text}"
         part, *inside = split_path(path)
         if part not in PARTS:
@@ -125,7 +125,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
 
 
 def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
-    """Return the compared config sections of a run that are missing in ``params/``, as far as they were recorded."""
+    """Return the recorded config sections of a run that are not stored in the run's folder ``params/``."""
     manifest = run.manifest()
     sections: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
     if manifest.data.get("seeds"):

@@ -85,7 +85,7 @@ def evaluation_settings(
 
 
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
-    """Return the part of ``env`` and ``agent`` that an evaluation reads."""
+    """Return the settings in the config sections ``env`` and ``agent`` that an evaluation uses."""
     env = tree["env"]
     height = rewarded_height(env) if protocol.target_height is None else None
     agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
@@ -252,10 +252,10 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the folder of the newest saved evaluation of a checkpoint under a protocol, or None.
+    """Return the folder of the newest saved evaluation of a checkpoint by a protocol, or None.
 
-    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Overrides cannot
-    identify a protocol, because different overrides can give equal protocols.
+    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Protocols are compared
+    by their settings, because different overrides can give equal protocols.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []

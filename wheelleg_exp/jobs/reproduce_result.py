@@ -95,11 +95,11 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # The value is equal, but the metric's unit may differ.
+            yield from _leaf_differences(was, is_now, name)  # The value is equal, but the unit may differ.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
-    """Yield differences of networks and evaluations; if there are none, yield differences of the runs' comparisons."""
+    """Yield differences of networks and evaluations; if all are equal, yield differences of the comparisons of runs."""
     equal = True
     for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
         now = parameters(made.run)

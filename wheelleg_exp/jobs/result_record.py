@@ -59,7 +59,7 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the machines on which a run was trained, in order; a resumed run can have several."""
+    """Yield the machines on which a run was trained, in order; a resumed run can have several machines."""
     for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
         hardware = process.get("hardware") or {}
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
@@ -162,7 +162,7 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifests in ``NAME/`` that belong to an earlier record of this name."""
+    """Return the manifest files in the folder ``NAME/`` that belong to an earlier result of the same name."""
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
@@ -224,7 +224,7 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """Return the manifests of a record's runs, from the folder with the record's name."""
+    """Read the manifests of a record's runs from the folder that has the record's name."""
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
@@ -263,7 +263,7 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A run with exact resumes equals an uninterrupted training with the final number of iterations. A run that was
+    A run whose resumes are exact equals an uninterrupted training with the final number of iterations. A run that was
     resumed on another machine also equals one training, if both machines compute alike: the page names both machines.
     RunDirectoryError means that an uninterrupted training cannot reproduce the run.
     """

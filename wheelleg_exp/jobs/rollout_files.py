@@ -31,7 +31,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
-_MAX_CHARACTERS = 400_000  # The viewer cannot show a longer text.
+_MAX_CHARACTERS = 400_000  # The viewer cannot show a text with more characters.
 
 
 def fenced(text: str, language: str) -> str:

@@ -51,7 +51,7 @@ class QueueWorker:
             raise RuntimeError("the job has already run, and a job runs only once")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # A different installation needs its own import path.
+        path = request["path"] if same else sys.path  # A job with a different installation needs its own import path.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
         with ThreadPoolExecutor(1) as reader:  # A signal interrupts only the main thread, not the reader.
@@ -164,7 +164,7 @@ class QueuedJob:
         write_text(self.folder / STOP, NOW)
 
     def kill(self) -> None:
-        """Remove the job from the queue."""
+        """Remove the job from the queue at once."""
         if self.ticket is not None:
             self.ticket.cancel()
 
@@ -177,7 +177,7 @@ class QueuedJob:
 
 
 class Queue:
-    """Base class of launchers that submit jobs to a queue."""
+    """The base class of the launchers that submit jobs to a queue."""
 
     queued = True
 
@@ -265,7 +265,7 @@ class _SubmititTicket:
     def why(self) -> str:
         words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
         last = f": {words[-1][:300]}" if words else ""
-        # The state FINISHED has no meaning, because submitit's local executor reports it for every ended job.
+        # Do not show FINISHED, because submitit's local executor reports this state for every ended job.
         state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
@@ -283,7 +283,7 @@ class RayLauncher(Queue):
         super().__init__(folder)
         chosen = settings["ray"]
         init = {**_INIT, **chosen["init"]}
-        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray will start a local cluster here.
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts a local cluster here.
             init.setdefault("object_store_memory", _OBJECT_STORE)
         try:
             if not ray.is_initialized():

@@ -20,7 +20,7 @@ from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 # The names of MKL's code branches, in the order of their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
-_in_time: list[bool] = []  # for each call of prepare_threads, whether the call was early enough to set variables
+_in_time: list[bool] = []  # for each call of prepare_threads, whether the call was early enough
 
 _STRICT = 0x10000
 _EVERYTHING = -1
@@ -124,7 +124,7 @@ def _libraries() -> list[str]:
 
 
 def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
-    """Return the number of samples over which the PPO update computes a mean."""
+    """Return the largest number of samples over which the PPO update computes a mean."""
     return (samples or 0) // max(1, int((agent.get("algorithm") or {}).get("num_mini_batches", 1)))
 
 
@@ -147,7 +147,7 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
 
 
 def _splits(numbers: int, threads: int) -> bool:
-    """Return whether torch splits an array of ``numbers`` values into chunks of a size that no vector loop divides."""
+    """Return whether torch splits ``numbers`` values into chunks whose size is not a multiple of ``_VECTOR_STEP``."""
     parts = min(threads, -(-numbers // SPLIT_ABOVE))
     return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 

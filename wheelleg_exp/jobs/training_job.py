@@ -53,7 +53,7 @@ def run_request(request: JobRequest, stop: StopRequest) -> AbstractContextManage
 
 
 def main() -> int:
-    """Serve the request on standard input, and return the exit status."""
+    """Read a job request from standard input, run the job, and return the exit status."""
     return serve_job(serve)
 
 

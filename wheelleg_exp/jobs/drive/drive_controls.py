@@ -1,8 +1,8 @@
 """Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
 
 A command axis is one component of a command, such as the forward speed, that the task samples from a range. Keys,
-sliders, and scripts set command values from any thread. The simulation thread reads the command values before each
-control step.
+sliders, and drive scripts can set the command values from any thread. The simulation thread reads the command values
+before each control step.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class CommandHold:
         self._held: dict[str, float] = {}
 
     def __call__(self, values: Mapping[str, float]) -> None:
-        """Set the command of each axis, by axis name, from the next returned observation on."""
+        """Set the command of each axis, by axis name; the next observation contains the new commands."""
         changed = [axis for axis in self._axes if self._held.get(axis.name) != values[axis.name]]
         for axis in changed:
             term = self._env.command_manager.get_term(axis.term)

@@ -209,7 +209,7 @@ class DrivePage:
     """A context manager that serves the drive's web page to browsers on this machine."""
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
-        # Return viser's server class, without tunnels to other machines, and mjviser's scene class.
+        # Return viser's server class, which here opens no tunnels to other machines, and mjviser's scene class.
         try:
             import viser
             from mjviser import ViserMujocoScene
@@ -357,6 +357,6 @@ class DrivePage:
 
 @contextmanager
 def _without_output() -> Iterator[None]:
-    """Suppress viser's console output, which would mix with the output of the wheelleg command."""
+    """Suppress the console output of the package viser, which would mix with the output of the wheelleg command."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

@@ -50,7 +50,7 @@ class ScriptPlayer:
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
         # An entry applies from the first control step at or after its time.
-        # Rounding prevents that a floating-point error delays an entry by one control step.
+        # The time is rounded, so that a floating-point error does not delay the entry by one control step.
         self._steps = [math.ceil(round(entry.at / step_dt, 6)) for entry in script.entries]
         self.last_step = math.ceil(round(script.duration_s / step_dt, 6))
         self._next = 0
@@ -179,7 +179,7 @@ class DriveLog:
         self._values: dict[str, float] = {}
 
     def commanded(self, step: int, values: Mapping[str, float]) -> None:
-        """Record the commands of a control step."""
+        """Record the commands of a control step in the log of the drive."""
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
             self._entries.append((step, changed))

@@ -31,8 +31,8 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 class DriveMeter:
     """Computes the metrics of a drive step by step; ``definitions.drive`` defines the metrics.
 
-    ``height_m`` is the height of the root link's origin above the ground below it, in the last step. ``measured`` holds
-    the measured value of each axis that can be measured: m/s, rad/s, m and rad.
+    ``height_m`` is the height of the root link's origin above the ground in the last control step, m. ``measured``
+    holds the measured value of each axis that can be measured: m/s, rad/s, m and rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
@@ -147,7 +147,7 @@ class DriveSession:
         return self.steps * self.env.step_dt
 
     def step(self) -> None:
-        """Simulate one control step under the current commands."""
+        """Simulate one control step with the driver's current commands."""
         values = self.controls.values
         self.driven.commanded(self.steps, values)
         self._hold(values)
@@ -175,7 +175,7 @@ class DriveSession:
             self.reset()
 
     def reset(self) -> None:
-        """Start a new episode under the current commands."""
+        """Start a new episode with the driver's current commands."""
         self._hold(self.controls.values)
         self.env.reset()
         self.meter.began()

@@ -44,9 +44,9 @@ def scenes() -> list[str]:
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config of ``wheelleg play``, changed for a drive.
 
-    The changed config has one robot, episodes of ``drive.episode_length_s``, and no curriculum. Events happen only at
-    startup and reset. Commands have no heading control and no standing robots. ``scene`` names the scene config whose
-    ground replaces the training's ground; ``own`` means the training's ground.
+    The changed config has one robot, episodes of ``drive.episode_length_s``, and no curriculum. In a drive, events
+    happen only at startup and reset. The command terms use no heading control and no standing robots. ``scene`` names
+    the scene config whose ground replaces the training's ground; ``own`` means the training's ground.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]

@@ -62,7 +62,7 @@ def recorded_episodes(
         _, _, dones, _ = adapter.step(actions)
         begins = bool(dones[0])
         if begins:
-            env.reset()  # A deployed runner also starts with empty observation histories.
+            env.reset()  # Clear the observation histories, as in a deployed runner before its first step.
     return {name: np.stack(values) for name, values in rows.items()}
 
 

@@ -1,7 +1,7 @@
 """Describe a policy in ``policy.json``: everything between sensor readings and joint targets, as numbers.
 
-The numbers describe the action terms, the drive of each joint, and the network. A term or network that a runner cannot
-compute raises a ``ConfigError`` with the name of the term or network.
+``policy.json`` describes the action terms, the drive of each joint, and the network. A term or network that a runner
+cannot compute raises a ``ConfigError`` with the name of the term or network.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
     """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
-    # Actions that two libraries compute in float64 are equal after rounding to float32, unlike actions from float32.
+    # In float64, two libraries compute actions that are equal after rounding to float32. In float32, actions differ.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:
@@ -223,9 +223,9 @@ def specification(
 ) -> dict[str, Any]:
     """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
-    Lists with one value per joint have the order of ``joint_names``; null means no limit. Keys have Isaac Lab's names
-    if Isaac Lab names the quantity. The environment must have one robot and no events, because events can change the
-    parameters of the robot. ``ranges`` contains the [low, high] of each command component at the end of training.
+    Lists with one value per joint have the order of ``joint_names``; null means no limit. Keys for quantities of Isaac
+    Lab have the names that Isaac Lab uses. The environment must have one robot and no events, because events can change
+    the parameters of the robot. ``ranges`` contains the [low, high] of each command component at the end of training.
     """
     robot, layout = env.scene.robot, env.scene.robot.layout
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])

@@ -63,7 +63,7 @@ _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
 def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``env`` config with one environment, without events and curricula, which change exported numbers."""
+    """Return the ``env`` config with one environment, and without events and curricula, which change parameters."""
     found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
     found["sim"]["nthread"] = 1
     return found
@@ -171,7 +171,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
             run.manifest().add("export", files, results, command=command)
-        except BaseException:  # Remove the bundle, because the run's manifest does not list it.
+        except BaseException:  # Remove the bundle, which the manifest does not list.
             shutil.rmtree(folder, ignore_errors=True)
             raise
     return Exported(run, checkpoint, folder, differences, notes)

@@ -121,7 +121,7 @@ def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[Config
 
 
 def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose the evaluation protocol and the seed of a gate."""
+    """Compose the evaluation protocol and the seed of a gate, which is an evaluation between two phases."""
     composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
     with composed.placing():
         require_fit("seed", composed.config["seed"], Seed)

@@ -85,7 +85,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # Check the protocol before the next lines shorten it.
+        read_section(Protocol, protocol, "protocol")  # Check the complete protocol before the changes below.
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:
@@ -214,7 +214,7 @@ class PipelineRunner:
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
         made = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
         self._index.update(entry, gates=[*entry["gates"], {**facts, **made}])
-        # If the last gate is not passed, the pipeline stops and reports the reason.
+        # If the policy fails the last evaluation of a phase, the pipeline stops and reports the reason.
         why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
         outcome = ("passed" if verdict.passed else "not passed") + why
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")

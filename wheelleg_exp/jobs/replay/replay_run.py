@@ -139,7 +139,7 @@ def replay(
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
-    _config(run, manifest)  # Raise errors of the config before the source code is restored.
+    _config(run, manifest)  # Detect errors in the config before the source code is restored.
     total = iterations_to_train(run, manifest, iterations)
     display.note(describe_code(run))
     with _workplace(keep) as workplace:

@@ -27,7 +27,7 @@ class RestoredTree:
     """A source folder that a run recorded, and the origin of the folder's restored content."""
 
     root: str
-    how: str  # restored from commit and patch, installed with this package, in place (unchanged folder), or missing
+    how: str  # how the source was found: restored, installed, in place (without a restore), or missing
     commit: str | None = None
     tree: str | None = None
     origin: str | None = None  # the repository from which the commit was read
@@ -42,7 +42,7 @@ class RestoredSource:
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
     source_roots: list[Path] = field(default_factory=list)  # folders of further packages that a new run records
-    moved: dict[str, Path] = field(default_factory=dict)  # the restored folder for each recorded folder
+    moved: dict[str, Path] = field(default_factory=dict)  # maps each recorded folder to its restored folder
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:
@@ -76,7 +76,7 @@ def describe_code(run: RunDirectory) -> str:
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
     """Restore every source folder that a run recorded, as a subfolder of the existing folder ``workplace``.
 
-    Commits are first searched in the git clones ``repositories``, then in the recorded folders and the current
+    The commits are searched first in the git clones ``repositories``, then in the recorded folders and the current
     checkout. RunDirectoryError means that the source of this package was not recorded, that no repository has the
     source's commit, or that the source is too old for a replay.
     """

@@ -35,14 +35,14 @@ class Request:
 
     protocol: int
     run: str  # the run directory that contains the snapshot
-    until: int  # the number of iterations to train
+    until: int  # the number of iterations that the replay trains
     root: str  # the root folder of the new run
     name: str  # the name of the new run
     workplace: str  # a temporary folder, which the parent process removes after the training
     config_dirs: list[str]
     projects: list[str]
     source_roots: list[str]
-    moved: dict[str, str]  # the restored folder for each recorded folder
+    moved: dict[str, str]  # maps each recorded folder to its restored folder
     command: list[str]
     facts: dict[str, Any]  # facts that are added to the manifest of the new run
 
@@ -90,7 +90,7 @@ class ReplayDisplay(PipeDisplay):
 
 
 def main() -> int:
-    """Serve the request on standard input, and return the exit status."""
+    """Read a request from standard input, train the replay, and return the exit status."""
     return serve_job(_train)
 
 

@@ -45,7 +45,7 @@ class Fit:
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
-    """Compare the settings with which a policy was trained with the settings of a new training.
+    """Compare the settings of a policy's earlier training with the settings of a new training.
 
     ``was`` and ``now`` are pairs of the config sections ``env`` and ``agent``. ``roles`` names the networks to copy,
     and ``of`` is the name of the policy's run in messages. Only a built network shows whether a changed parameter of a

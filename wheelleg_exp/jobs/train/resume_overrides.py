@@ -164,6 +164,6 @@ def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # An override that Hydra cannot parse is its own key.
+    except (HydraException, RecursionError):  # An override that Hydra cannot parse serves as its own key.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

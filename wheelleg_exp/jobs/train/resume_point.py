@@ -35,7 +35,7 @@ class ResumePoint:
     checkpoint: Path | None  # the checkpoint after the previous iteration; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
     lines: Sequence[Line]  # all complete lines of the run's iteration log
-    damaged: Mapping[Path, str]  # the damage of each newer checkpoint that cannot be used
+    damaged: Mapping[Path, str]  # newer checkpoints that cannot be used, each with the reason
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
@@ -62,7 +62,9 @@ def find_point(run: RunDirectory) -> ResumePoint:
         try:
             state = checkpoint.load(path, finite=False)  # The training itself detects NaN and inf.
             if state["iter"] != checkpoint_iteration(path):
-                raise RunDirectoryError(f"the file contains iteration {state['iter']}", key=str(path))
+                raise RunDirectoryError(
+                    f"the checkpoint's iteration {state['iter']} differs from its name", key=str(path)
+                )
         except RunDirectoryError as error:
             damaged[path] = error.message
             continue
@@ -135,7 +137,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
                 path.unlink()
             elif path in temporaries(run.exported):  # A killed export left this temporary folder behind.
                 shutil.rmtree(path)
-        (run.path / FAILURE).unlink(missing_ok=True)  # The failure remains described in the manifest.
+        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest still describes the failure.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)

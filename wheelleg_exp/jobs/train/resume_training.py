@@ -44,7 +44,7 @@ def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: S
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
-    """Load the state of a checkpoint into a training; return texts about differences from the saved state.
+    """Load a checkpoint's state into a training; return texts about differences from the checkpoint's state.
 
     Each rank loads its part of the checkpoint's state. If ``learning_rate`` is not None, it replaces the learning rate
     of the checkpoint.
@@ -245,7 +245,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add to errors about unknown targets which config folders of the manifest are unused, and why."""
+    """Add a text about unused config folders of the manifest to errors about unknown targets."""
     try:
         yield
     except ConfigError as error:

@@ -27,7 +27,7 @@ _CURRICULUM, _STUCK = "Curriculum/", "stuck"
 
 
 class StuckCurricula:
-    """Collects the names of stuck curricula in ``now``; the scalar ``stuck`` or ``<part>_stuck`` of these is not 0."""
+    """Collects the names of stuck curricula in ``now``: those with a scalar ``stuck`` or ``<part>_stuck`` above 0."""
 
     def __init__(self) -> None:
         self.now: list[str] = []
@@ -94,7 +94,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            if failed or "non_finite" in training.manifest.results:  # The run may have failed before a resume.
+            if failed or "non_finite" in training.manifest.results:  # An earlier part of the run may have NaNs.
                 results["non_finite"] = dict(failed)
             yield iteration
     except SimulationFailure as error:
@@ -148,7 +148,7 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
 
 
 def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of the iterations that were finished before the present resume."""
+    """Return the results of the iterations that the run finished before the current resume."""
     if not earlier:
         return {}
     done = len(earlier)

@@ -106,7 +106,7 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # The module sitecustomize of a system is a link in the standard library, so links are resolved only afterwards.
+    # Do not resolve links first, because the system's module sitecustomize is a link in the standard library.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 
@@ -127,7 +127,7 @@ def shorten(value: Any) -> str:
 
 
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
-    """Return how source, versions, hardware, threads, and variables of this process differ from those of a run.
+    """Return the differences in source, versions, hardware, threads, and variables between a run and this process.
 
     Differences that cannot change the numbers of a training are left out. ``threads`` is the result of ``set_threads``.
     """

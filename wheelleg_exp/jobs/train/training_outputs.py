@@ -78,9 +78,9 @@ class Outputs:
             self._opened.__exit__(*error)
 
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
-        """Write scalars and digests of one iteration, start a recorded episode if one is due, and return the digests.
+        """Write scalars and digests of one iteration, start a motion sample if one is due, and return the digests.
 
-        ``due`` is true if the iteration has a regular checkpoint.
+        ``due`` is true if a regular checkpoint follows this iteration.
         """
         # If a user has removed the run directory, a checkpoint would create a new directory without any other file.
         if not self._directory.iterations.exists():
@@ -140,7 +140,7 @@ def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, An
 
 
 def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the scalars that describe the end of a training, for the manifest."""
+    """Return the scalars at the end of a training that the manifest records."""
     keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
     chosen = {key: scalars[key] for key in keys if key in scalars}
     return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}

@@ -21,7 +21,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.state.tensor_trees import host_copy
 
 _FILM_SIZE_PX = (640, 360)
-_MAX_FPS = 30.0  # Each picture shows one control step, so the actual frame rate can be lower.
+_MAX_FPS = 30.0  # The frame rate of a film can be lower, because each picture shows one control step.
 _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 
 
@@ -111,11 +111,12 @@ class TrainingRecording(ObservingRecording):
     ``write`` writes every iteration to the recording file. If a rollout has less than 16 steps, its last frames can be
     written with the next iteration. A motion sample (recorded episodes) is due at every ``interval``-th iteration,
     unless the longest possible sample would exceed the file's size limit. In each environment, a motion sample starts
-    with the next episode, and ends with the episode in which the sample reaches ``steps`` frames. Whether a sample is
-    due depends only on options and recorded frames, so that a resumed recording equals an uninterrupted recording.
+    with the next episode, and ends with the episode in which the sample reaches ``steps`` frames. Whether a motion
+    sample is due depends only on options and recorded frames, so that a resumed recording equals an uninterrupted
+    recording.
 
     A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
-    dropped, and an unfinished sample continues. ``note`` holds the warnings about the recording, or None.
+    dropped, and an unfinished sample continues. ``note`` contains the warnings about the recording, or is None.
     """
 
     def __init__(

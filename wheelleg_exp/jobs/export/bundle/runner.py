@@ -88,7 +88,7 @@ class Term:
         return x
 
     def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the measured minus the commanded travel, bounded, from wheels (m) and gyroscope (rad)."""
+        """Return the difference of measured and commanded travel, m and rad, clipped to its bounds."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
         if -1 in self.memory:  # In the first step after a reset, the travel error is 0.
@@ -274,8 +274,8 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
     """Return the largest differences between the runner's steps and the recorded steps in ``check.npz``.
 
     Each compared step starts from recorded values: observations from readings and last actions, actions from the
-    observation, and targets from the action. ``actions_float32`` compares actions that were computed in float32, in
-    which the order of a sum changes the rounding.
+    observation, and targets from the action. ``actions_float32`` compares actions in float32, for which the order of a
+    sum changes the rounding.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
