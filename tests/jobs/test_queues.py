@@ -165,7 +165,7 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     told = [json.loads(line) for line in (tmp_path / sweep_queue.EVENTS).read_text().splitlines()]
     assert told[0]["event"] == "began"
     assert {event["status"] for event in told if event["event"] == "ended"} == {"interrupted"}
-    with pytest.raises(RuntimeError, match="does not run again"):
+    with pytest.raises(RuntimeError, match="a job runs only once"):
         QueueWorker()(str(tmp_path))
 
 

@@ -239,7 +239,7 @@ SNAPSHOT = (".hydra/config.yaml", "params/env.yaml", "source/source.patch", "ass
 REFUSED = [(_change(name), f"{name} is not what the manifest recorded", ()) for name in SNAPSHOT]
 REFUSED += [(lambda run: None, "from 1 to the 3 that the run has", ("--iterations", number)) for number in ("0", "4")]
 REFUSED += [
-    (lambda run: (run / "source/source_2.patch").touch(), "source/source_2.patch is not in the manifest", ()),
+    (lambda run: (run / "source/source_2.patch").touch(), "the manifest lacks the file source/source_2.patch", ()),
     (lambda run: (run / "params/agent.yaml").unlink(), "params/agent.yaml is missing", ()),
     (lambda run: change_manifest(run, status="running", process=this_process()), "is still running", ()),
 ]
@@ -275,4 +275,4 @@ def test_code_from_before_replays_is_told(run, tmp_path):
     facts = {"commit": git(old, "rev-parse", "HEAD"), "tree": git(old, "rev-parse", "HEAD^{tree}"), "patch_bytes": 0}
     change_record(run, **facts, patch_sha256=hashlib.sha256(b"").hexdigest())
     change_manifest(run)
-    assert "is from before runs could be replayed" in refused(run, "--repository", old)
+    assert "is too old for a replay" in refused(run, "--repository", old)

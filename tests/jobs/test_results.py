@@ -133,7 +133,7 @@ def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(wr
     page.write_text(page.read_text().replace("| survival |", "| Survival |"))
     status, told = again(written, capsys)
     assert status == 2
-    assert "small.md: the page does not show its record" in told
+    assert "small.md: the page does not agree with the result record" in told
     assert "wheelleg train" not in told
 
 
@@ -155,9 +155,9 @@ def test_what_is_made_again_is_not_said_twice(written, capsys, word):
 
 
 DAMAGES = [
-    (lambda record: record.pop("runs"), "the record lacks a key: 'runs'"),
-    (lambda record: record.update(runs=[]), "the record names no runs"),
-    (lambda record: record["runs"][0]["train"].pop("overrides"), "the record lacks a key: 'overrides'"),
+    (lambda record: record.pop("runs"), "the result record lacks a key: 'runs'"),
+    (lambda record: record.update(runs=[]), "the result record contains no run"),
+    (lambda record: record["runs"][0]["train"].pop("overrides"), "the result record lacks a key: 'overrides'"),
     (lambda record: record.update(name="other"), "the record is of 'other'; expected a record of its own name"),
 ]
 

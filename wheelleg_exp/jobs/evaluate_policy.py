@@ -1,7 +1,7 @@
-"""Evaluate a run's policy, or the reference controller, in the scenarios of a protocol, and save the result.
+"""Evaluate a policy or the reference controller in the test scenarios of a protocol, and save the result.
 
-Each evaluation is a folder ``evaluation/<time>/`` in the run directory. ``compare`` compares saved evaluations over
-training seeds, with other runs, and with the reference.
+Each evaluation is saved in a folder ``evaluation/<time>/`` of the run directory. ``compare`` compares evaluations of
+several training seeds with each other, with other runs, and with the reference controller.
 """
 
 from __future__ import annotations
@@ -64,9 +64,10 @@ _ALTERNATIVES = {
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Any]:
-    """Return ``env``, ``agent``, ``protocol`` and ``seed`` of a run's evaluation, with the overrides applied.
+    """Return the config sections ``env``, ``agent``, ``protocol`` and ``seed`` of an evaluation, with overrides.
 
-    Overrides of ``protocol`` and ``seed`` change the protocol, all other overrides the run's parameters.
+    Overrides of ``protocol`` and ``seed`` change the evaluation protocol. All other overrides change the parameters of
+    the run.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
@@ -84,7 +85,7 @@ def evaluation_settings(
 
 
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
-    """Return the part of ``env`` and ``agent`` that an evaluation reads."""
+    """Return the settings in the config sections ``env`` and ``agent`` that an evaluation uses."""
     env = tree["env"]
     height = rewarded_height(env) if protocol.target_height is None else None
     agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
@@ -92,7 +93,7 @@ def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
 
 
 def run_overrides(overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that change the run's parameters instead of the protocol."""
+    """Return the overrides that change the run's parameters, without the overrides of the evaluation protocol."""
     return [text for text in overrides if not _is_of_protocol(text)]
 
 
@@ -101,7 +102,7 @@ def _is_of_protocol(override: str) -> bool:
     return key.split(".")[0].split("@")[0] in ("protocol", "seed")
 
 
-# A function that draws plots of an evaluation into a folder, and returns the files.
+# A function that draws plots of an evaluation into a folder, and returns the plot files.
 Draw = Callable[[Evaluation, Path], list[Path]]
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
@@ -109,7 +110,7 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An evaluation; ``content`` is ``evaluation.json``, ``checkpoint`` is None for the reference controller."""
+    """A finished evaluation; ``content`` is ``evaluation.json``; the reference controller has no ``checkpoint``."""
 
     run: RunDirectory
     checkpoint: Path | None
@@ -127,10 +128,10 @@ def evaluate_run(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the mean action of a run's policy, and save the result under the run.
+    """Evaluate the mean action of a run's policy, and save the result in the run directory.
 
-    Without ``checkpoint``, evaluate the last checkpoint. ``tell`` is called with the name of the protocol's test, the
-    finished steps, and the total steps of this test.
+    If ``checkpoint`` is None, the run's last checkpoint is evaluated. ``tell`` receives the progress: the name of the
+    current test, the finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
@@ -147,9 +148,10 @@ def evaluate_reference(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the reference controller on a run's robot and task, and save the result under the run.
+    """Evaluate the reference controller on a run's robot and task, and save the result in the run directory.
 
-    The arguments are those of ``evaluate_run``. ConfigError means that the reference cannot balance the robot.
+    The arguments are explained in ``evaluate_run``. ConfigError means that the reference controller cannot balance this
+    robot.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -168,7 +170,7 @@ def _save(
 ) -> Path:
     """Write the evaluation into the run directory, atomically, and return the folder."""
     with dated_folder(run.evaluation) as folder:
-        # The episodes as CSV with one row per episode, in Python's number format, which preserves every bit.
+        # Write the episodes as CSV, one row per episode; Python's number format preserves every bit of a float.
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(found.episodes)
@@ -225,7 +227,7 @@ def read_content(folder: Path) -> dict[str, Any]:
     except Unreadable as error:
         raise RunDirectoryError(f"the file is damaged: {error.problem}", key=str(path), expected=_EXPECTED) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise RunDirectoryError(f"the file is not an evaluation of format {FORMAT}", key=str(path), expected=_EXPECTED)
+        raise RunDirectoryError(f"the file is not an evaluation in format {FORMAT}", key=str(path), expected=_EXPECTED)
     return content
 
 
@@ -250,10 +252,10 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the folder of the newest saved evaluation of a checkpoint under a protocol, or None.
+    """Return the folder of the newest saved evaluation of a checkpoint by a protocol, or None.
 
-    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Overrides cannot
-    identify a protocol, because different overrides can give equal protocols.
+    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Protocols are compared
+    by their settings, because different overrides can give equal protocols.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
@@ -302,13 +304,13 @@ def compare(
 ) -> Compared:
     """Compare evaluated runs, and save the result in the run directory of the first run.
 
-    ``runs`` are runs of one method with different seeds; ``against`` are runs of another method, or empty. ``name`` is
-    the name of the group ``runs``, by default the id of its first run.
+    ``runs`` are runs of one training method with different seeds. ``against`` are runs of another method, or an empty
+    list. ``name`` is the name of the group ``runs``, by default the id of its first run.
     """
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # The reference controller has no training seeds, so this condition counts only trained runs.
+    # Only trained runs are counted, because the reference controller has no training seeds.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)
@@ -334,7 +336,7 @@ def compare(
 
 
 def group_name(made: Sequence[Evaluated]) -> str:
-    """Return the name of a group of evaluated runs in a sentence."""
+    """Return the name of a group of evaluated runs, for use in a sentence."""
     names = [display_name(one) for one in made]
     return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Display:
-    """Receives the progress and the results of a job. The methods of this base class show nothing."""
+    """Receives the progress and the results of a job. The methods of this base class do nothing."""
 
     def environment(self, description: str) -> None:
         """Show the tables of the environment's managers."""
@@ -27,7 +27,7 @@ class Display:
 
 
 class PipeDisplay(Display):
-    """Sends notes and iterations as events to the parent process, which does not use tables and rollouts."""
+    """Sends the notes and the iterations of a job as events to the parent process."""
 
     def __init__(self, pipe: EventPipe) -> None:
         self._pipe = pipe

@@ -1,4 +1,4 @@
-"""Play a trained policy for one episode and save figures and a recording under the run.
+"""Play a trained policy for one episode, and save metrics and a recording in the run directory.
 
 ``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive uses it, too.
 """
@@ -56,13 +56,13 @@ class RunPolicy:
 
     run: RunDirectory
     checkpoint: Path
-    tree: Tree  # the run's ``env`` and ``agent``, and the settings of ``configs/play.yaml``, with overrides
+    tree: Tree  # the run's config sections ``env`` and ``agent``, and the settings of ``configs/play.yaml``
     adapter: RslRlVecEnv
     policy: Any  # returns the mean action
-    about: dict[str, str]  # the name and the sha256 of the checkpoint
+    about: dict[str, str]  # the file name and the sha256 digest of the checkpoint
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
-        """Return the recording of a play or a drive."""
+        """Return a recording of the environment, for a play or a drive of the policy."""
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
         task, path = self.run.manifest().data.get("task"), folder / "recording.rrd"
         about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
@@ -80,8 +80,8 @@ def prepare_policy(
 ) -> RunPolicy:
     """Load a run's policy, and build an environment from the run's config.
 
-    Without ``checkpoint``, load the last checkpoint. The function ``change`` changes the config tree after the
-    overrides are applied.
+    If ``checkpoint`` is None, the last checkpoint is loaded. ``change`` is a function that changes the config tree
+    after the overrides are applied.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
@@ -154,7 +154,7 @@ def play(
 @ending_as(SimulationFailure)
 @torch.inference_mode()
 def _roll(adapter: RslRlVecEnv, policy: Any, meter: StandMeter, failures: FailureCount, display: Display) -> None:
-    """Step until every environment has finished its first episode."""
+    """Step the environments until each environment has finished its first episode."""
     env = adapter.env
     for step in range(env.max_episode_length):
         actions = policy(adapter.get_observations())

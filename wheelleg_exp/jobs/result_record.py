@@ -59,7 +59,7 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the machines on which a run was trained, in order; a resumed run can have several."""
+    """Yield the machines on which a run was trained, in order; a resumed run can have several machines."""
     for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
         hardware = process.get("hardware") or {}
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
@@ -90,7 +90,7 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 
 def _outcome(difference: Mapping[str, Any], count: int) -> str:
-    """Return the verdict, with a mark if the verdict holds for these runs but possibly not for new training seeds."""
+    """Return the outcome of a comparison, with a footnote mark if new training seeds may give another outcome."""
     outcome = str(difference.get("outcome", ""))
     low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
@@ -128,12 +128,13 @@ def _number(value: float | None, factor: float) -> str:
 
 
 FORMAT = 2
-# Keys of a manifest, without folders and processes of the machine.
+# A result stores these keys of a run's manifest, but no keys about folders and processes of the machine.
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # These overrides set folders, not the training.
+# Overrides with these prefixes contain folders of the machine, so a training recipe leaves them out.
+_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
 def write_results(
@@ -141,8 +142,8 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    The files replace an earlier result with this name, whose manifests are removed. ``words`` are the overrides that
-    were given to the evaluations.
+    The new files replace an earlier result of the same name. The manifests of the earlier result are removed. ``words``
+    are the overrides that were given to the evaluations.
     """
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -161,14 +162,14 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifests in ``NAME/`` that belong to an earlier record of this name."""
+    """Return the manifest files in the folder ``NAME/`` that belong to an earlier result of the same name."""
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
     try:
         found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
     except (LookupError, TypeError) as error:
-        message = "the record names no runs"
+        message = "the result record contains no run"
         raise RunDirectoryError(message, key=str(path), expected=f"{_EXPECTED}, or no such file") from error
     return {path for path in found if path.parent == folder / name and path.is_file()}
 
@@ -176,14 +177,14 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
 def compare_with_reference(
     name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
 ) -> Compared:
-    """Return the comparison of the runs with the reference controller, or None without a reference evaluation."""
+    """Compare the runs with the reference controller; without a reference evaluation, compare only the runs."""
     return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
 def build_record(
     name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the record of a result, from the arguments of ``write_results``."""
+    """Return the record of a result; the arguments are explained in ``write_results``."""
     return {
         "format": FORMAT,
         "name": name,
@@ -210,7 +211,7 @@ def build_record(
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return a record that ``write_results`` has written."""
+    """Read a result record that ``write_results`` has written."""
     try:
         with for_people(path, "read"):
             record = json_value(path.read_bytes())
@@ -223,12 +224,12 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """Return the manifests of a record's runs, from the folder with the record's name."""
+    """Read the manifests of a record's runs from the folder that has the record's name."""
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
 def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return a result's record and its runs' manifests; raise an error unless the result's page shows the record."""
+    """Read a result's record and manifests; raise RunDirectoryError unless the result's page agrees with the record."""
     path = folder / f"{name}.json"
     record = read_record(path)
     try:
@@ -236,33 +237,33 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
             message = f"the record is of '{record['name']}'"
             raise RunDirectoryError(message, key=str(path), expected="a record of its own name")
         if not record["runs"]:
-            raise RunDirectoryError("the record names no runs", key=str(path), expected=_EXPECTED)
+            raise RunDirectoryError("the result record contains no run", key=str(path), expected=_EXPECTED)
         trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
         require_overrides([*record["words"], *trained], path)
         manifests = read_manifests(record, folder)
         require_matching_page(record, manifests, folder)
     except (LookupError, TypeError, AttributeError) as error:
-        raise RunDirectoryError(f"the record lacks a key: {error}", key=str(path), expected=_EXPECTED) from error
+        raise RunDirectoryError(f"the result record lacks a key: {error}", key=str(path), expected=_EXPECTED) from error
     return record, manifests
 
 
 def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
-    """Return the overrides of a recipe, and the overrides of the recipe that trained its initial policy."""
+    """Return the overrides of a training recipe, and the overrides of the recipe of its initial policy."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
 
 
 def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Raise RunDirectoryError unless the page shows the content of the record."""
+    """Raise RunDirectoryError unless the Markdown page of a result agrees with the result's record."""
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
         expected = "the page that wheelleg results wrote: only one of page and record was changed"
-        raise RunDirectoryError("the page does not show its record", key=str(path), expected=expected)
+        raise RunDirectoryError("the page does not agree with the result record", key=str(path), expected=expected)
 
 
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A run with exact resumes equals an uninterrupted training with the final number of iterations. A run that was
+    A run whose resumes are exact equals an uninterrupted training with the final number of iterations. A run that was
     resumed on another machine also equals one training, if both machines compute alike: the page names both machines.
     RunDirectoryError means that an uninterrupted training cannot reproduce the run.
     """
@@ -271,7 +272,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         expected = "a finished run whose resumes changed nothing but its length or the machine"
-        raise RunDirectoryError("the run was not trained in one go", key=run.id, expected=expected)
+        raise RunDirectoryError("the run was not an uninterrupted training", key=run.id, expected=expected)
     if (run.asset / TEACHER).is_file():
         message = "the run learned from another run's policy"
         raise RunDirectoryError(message, key=run.id, expected="a run that its own commands reproduce")
@@ -289,7 +290,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether a resume is inexact only because of hardware, not because of versions, threads, or variables."""
+    """Return whether different hardware is the only reason why a resume is inexact."""
     return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
@@ -309,7 +310,7 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return a text about how the commands of two trainings, or of their initial policies' trainings, differ."""
+    """Return a text about the different overrides of two trainings, or about their different initial policies."""
     words = set(one["overrides"]), set(other["overrides"])
     sides = (("with", *words), ("without", *words[::-1]))
     parts = [f"{side} {word}" for side, mine, its in sides for word in sorted(mine - its)]
@@ -328,7 +329,7 @@ def parameters(run: RunDirectory) -> str:
 
 
 def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
-    """Return the numbers of an evaluation that a reproduction must reproduce."""
+    """Return the numbers of an evaluation that must be equal in a reproduction."""
     content = made.content
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 

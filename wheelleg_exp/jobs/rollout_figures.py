@@ -1,6 +1,7 @@
 """Figures of a rollout: survival, base height and pitch, contact forces, drift, smoothness, and motor load.
 
-The meters read an environment after each control step, before resets. ``definitions.rollout`` defines each figure.
+The meters measure an environment after each control step, before the environment is reset. ``definitions.rollout``
+defines each figure.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from wheelleg_exp.sim.sensors import ContactSensor
 
 @dataclass(frozen=True)
 class StandFigures:
-    """Metrics of standing, over the first episode of each environment; see ``definitions.rollout``."""
+    """Metrics of standing in the first episode of each environment; ``definitions.rollout`` defines each metric."""
 
     episodes: int
     unfinished: int
-    survival: float | None  # fraction of the ended episodes that reached the time-out
-    settle_s: float  # height and pitch exclude this first part of each episode
+    survival: float | None  # the fraction of the ended episodes that reached the time-out
+    settle_s: float  # Height and pitch are not measured in this first part of each episode.
     settled_episodes: int
     settled_steps: int
     height_rmse_m: float | None
@@ -32,22 +33,22 @@ class StandFigures:
     pitch_rms_deg: float  # against upright
     pitch_mean_deg: float
     mean_return: float | None
-    ended_by: dict[str, int]  # an episode that two terminations ended counts for their combination
+    ended_by: dict[str, int]  # the number of episodes by termination, or by combination of simultaneous terminations
     non_finite: dict[str, int] = field(default_factory=dict)
 
     @property
     def ended(self) -> int:
-        """The number of first episodes that have ended."""
+        """The number of environments whose first episode has ended."""
         return self.episodes - self.unfinished
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the metrics as plain values."""
+        """Return the metrics as a dictionary of numbers."""
         found = asdict(self)
         return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}
 
 
 class StandMeter:
-    """Measures standing over the first episode of N environments; height and pitch from ``settle_s`` on."""
+    """Measures standing in each environment's first episode; height and pitch count after ``settle_s`` seconds."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -64,7 +65,7 @@ class StandMeter:
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
-        """Measure one control step, before environments are reset."""
+        """Measure the last control step; call this method before environments are reset."""
         env, now = self._env, self.running
         for env_id, keys in env.extras.get("non_finite", {"keys": {}})["keys"].items():
             if now[env_id]:
@@ -111,14 +112,15 @@ class ContactFigures:
     body: str
     mean_n: float
     max_n: float
-    contact_share: float  # fraction of control steps with contact
-    steps: int  # control steps, summed over the environments
+    contact_share: float  # the fraction of control steps in which the link had contact
+    steps: int  # the number of control steps, summed over the environments
 
 
 class ContactMeter:
     """Accumulates the contact forces of each link while the link's robot stands.
 
-    A robot stands from ``settle_s`` after its reset on, as long as its tilt is less than ``upright_rad``.
+    A robot counts as standing from ``settle_s`` seconds after its reset, as long as its tilt is less than
+    ``upright_rad``.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
@@ -130,7 +132,7 @@ class ContactMeter:
         self._count = 0
 
     def observe(self) -> None:
-        """Measure one control step, before environments are reset."""
+        """Measure the last control step; call this method before environments are reset."""
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
@@ -142,7 +144,7 @@ class ContactMeter:
             self._count += len(force)
 
     def figures(self) -> list[ContactFigures]:
-        """Return the contact figures of each link, in the sensor's order; empty if no robot stood."""
+        """Return the contact figures of each link, in the order of the sensor; empty if no robot stood."""
         count = self._count
         if count == 0:
             return []
@@ -151,7 +153,7 @@ class ContactMeter:
 
 
 def target_height(env: ManagerBasedRLEnv) -> float | None:
-    """Return the base height that a reward of the task names, or None."""
+    """Return the target height of the base in a reward term of the task, m, or None without such a term."""
     for name in env.reward_manager.active_terms:
         target = env.reward_manager.get_term_cfg(name).params.get("target_height")
         if target is not None:
@@ -169,23 +171,23 @@ DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit
 
 @dataclass(frozen=True)
 class MotionFigures:
-    """Metrics of motion, over the first episode of each environment; see ``definitions.rollout``."""
+    """Metrics of motion in the first episode of each environment; ``definitions.rollout`` defines each metric."""
 
     drift_m: float | None
     yaw_drift_deg: float | None
     action_rate_per_s: float | None
     power_net_w: float | None
     torque_rms_nm: dict[str, float]  # by actuator group
-    at_limit: dict[str, float]  # by actuator group: fraction of physics steps at the effort limit
+    at_limit: dict[str, float]  # for each actuator group, the fraction of physics steps at the effort limit
     sign_changes_per_s: dict[str, float]  # by actuator group
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the metrics as plain values."""
+        """Return the metrics as a dictionary of numbers."""
         return asdict(self)
 
 
 class MotionMeter:
-    """Measures motion over the first episode of each of the N environments, from ``settle_s`` on."""
+    """Measures motion in the first episode of each environment, without the episode's first ``settle_s`` seconds."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env, self._settle_steps = env, settle_s / env.step_dt
@@ -206,7 +208,7 @@ class MotionMeter:
         self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
-        """Measure one control step, before environments are reset."""
+        """Measure the last control step; call this method before environments are reset."""
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)

@@ -1,7 +1,7 @@
 """Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
 
-``EpisodeRecording`` records a play or an agent as one segment. A dataset contains the episodes that recorder terms
-recorded, as ``.npz`` archives (`docs/datasets.md`).
+``EpisodeRecording`` records a rollout as one segment. A dataset contains the episodes that recorder terms collected, as
+``.npz`` archives (see `docs/datasets.md`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
-_MAX_CHARACTERS = 400_000  # A longer text would be too long for the viewer.
+_MAX_CHARACTERS = 400_000  # The viewer cannot show a text with more characters.
 
 
 def fenced(text: str, language: str) -> str:
@@ -57,12 +57,12 @@ def run_documents(directory: RunDirectory) -> dict[str, str]:
 
 
 def command_document(command: Sequence[str]) -> dict[str, str]:
-    """Return the command line as a document of the recording; empty for an empty command line."""
+    """Return the command line as a text document for the recording; no document for an empty command line."""
     return {"command": fenced(shlex.join(command), "sh")} if command else {}
 
 
 def config_document(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return a composed config as a document of the recording."""
+    """Return a composed config as a text document for the recording."""
     return {"config": fenced(dump_yaml(dict(config)), "yaml")}
 
 
@@ -74,7 +74,7 @@ def _command(manifest: str) -> list[str]:
 
 
 class ObservingRecording:
-    """Records every control step while entered, optionally live in a viewer; ``notes`` are its warnings."""
+    """A context manager that records every control step, optionally live in a viewer; ``notes`` are its warnings."""
 
     def __init__(self, env: ManagerBasedRLEnv, recorder: Recorder, *, live: bool) -> None:
         self._env, self._recorder, self._is_live = env, recorder, live
@@ -107,11 +107,11 @@ class ObservingRecording:
 
 
 class EpisodeRecording(ObservingRecording):
-    """Records every control step while entered, up to the limit on the file's size.
+    """A context manager that records every control step, up to the limit on the file's size.
 
-    Each simulated second is written to the recording file as soon as the second has ended. ``options`` are ``env_ids``,
-    ``max_mb`` and ``live`` of the config's ``recording``. ``purpose`` decides the layout of the viewer, which shows
-    ``name``.
+    Each simulated second is written to the recording file as soon as the second has ended. ``options`` contains
+    ``env_ids``, ``max_mb`` and ``live`` from the config section ``recording``. ``purpose`` decides the layout of the
+    viewer. The viewer shows ``name`` as the title.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
 
 
 def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
-    """Return a checkpoint's name, relative to its run where possible, and its sha256."""
+    """Return a checkpoint's path, relative to the run directory if possible, and the checkpoint's sha256 digest."""
     path = checkpoint.resolve()
     name = path.relative_to(run.path) if path.is_relative_to(run.path) else path
     return {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
@@ -186,16 +186,16 @@ def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[
 
 
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
-    """Write the remaining episodes, including unfinished ones if ``env.dataset.export_in_close`` is set.
+    """Write the remaining episodes; include unfinished episodes if ``env.dataset.export_in_close`` is set.
 
-    Without ``iteration`` the file is ``episodes.npz``, for a rollout that has not written any file.
+    If ``iteration`` is None, the file is ``episodes.npz``, for a rollout that has not written any file.
     """
     env.recorder_manager.close()
     return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the dataset files from ``iteration`` on, and the files of the episodes that a resume continues."""
+    """Return dataset files from ``iteration`` on, and files of episodes that a resume at ``iteration`` continues."""
     found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 

@@ -1,4 +1,4 @@
-"""Run each job of a sweep in a child process, here or in a queue (``sweep_queue``), and update the sweep's index."""
+"""Run each job of a sweep in its own process, on this machine or through a queue, and update the sweep's index."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WAIT_S, _PATIENCE_S = 0.2, 10.0
 
 
 class Job(Protocol):
-    """A job that was started. ``ended`` is the last event of the job; None while the job runs, and if the job died."""
+    """A job that was started. ``ended`` is the last event of the job; None while the job runs, or if the job died."""
 
     ended: Event | None
 
@@ -30,7 +30,7 @@ class Job(Protocol):
         """Return whether the job has ended, successfully or not."""
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop at its next whole iteration."""
+        """Ask the job to stop after its current iteration."""
 
     def interrupt(self) -> None:
         """Stop the job without waiting for the end of its iteration."""
@@ -42,13 +42,13 @@ class Job(Protocol):
         """Close the connection to the job."""
 
     def describe_death(self) -> str:
-        """Return a phrase about how a job ended that sent no last event."""
+        """Return a phrase about the end of a job that died without a last event."""
 
 
 class Launcher(Protocol):
     """Starts the jobs of a sweep, and receives the jobs' events.
 
-    If ``queued`` is true, a started job can wait in a queue, and sends the event ``began`` when it runs.
+    If ``queued`` is true, a job can wait in a queue after its start; the job sends the event ``began`` when it runs.
     """
 
     queued: bool
@@ -57,7 +57,7 @@ class Launcher(Protocol):
         """Start the job with this number in the index of the sweep."""
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Yield the events that jobs have sent; wait at most ``wait_s`` for the first one."""
+        """Yield the events that jobs have sent; wait at most ``wait_s`` seconds for the first event."""
 
 
 class LocalLauncher:
@@ -69,9 +69,9 @@ class LocalLauncher:
         self._program = program or job_program()
 
     def start(self, number: int, request: JobRequest) -> Job:
-        """Start the process of a job."""
-        del number  # The pipes identify the process.
-        # Libraries may have changed the C environment of this process; ``os.environ`` does not show such changes.
+        """Start the child process of a job."""
+        del number  # A local job is identified by its pipes.
+        # Pass ``os.environ``, because libraries may have changed the C environment of this process.
         return Child(self._program, request.line(), os.environ)
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
@@ -96,11 +96,11 @@ class SweepDisplay(Protocol):
 
 
 class SweepRunner:
-    """Runs a fixed number of jobs in parallel, until all jobs have ended or a stop is requested.
+    """Runs at most ``at_once`` jobs in parallel, until all jobs have ended or a stop is requested.
 
     Each job has its own process: it computes the same bytes as ``wheelleg train`` with its overrides, and a job that
-    dies does not affect the others. After a stop request, every job stops at its next whole iteration, with a
-    checkpoint.
+    dies does not affect the others. After a stop request, every job finishes its current iteration, writes a
+    checkpoint, and stops.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class SweepRunner:
                 self._end(lambda job: job.interrupt(), _PATIENCE_S)
                 self._end(lambda job: job.kill(), _PATIENCE_S)
             finally:
-                for job in self._running:  # A third interrupt stops waiting for the jobs.
+                for job in self._running:  # A third interrupt ends the wait for the jobs.
                     job.kill()
                     job.close()
 
@@ -183,7 +183,7 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record ended jobs in the sweep's index; a job that left its queue before its start counts as waiting."""
+        """Record ended jobs in the sweep's index; a job that was stopped in a queue keeps the status ``waiting``."""
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)
@@ -211,5 +211,5 @@ class SweepRunner:
         deadline = time.monotonic() + patience_s
         while self._running and time.monotonic() < deadline:
             self._listen()
-            with contextlib.suppress(WheellegError):  # The index has already reported a full disk.
+            with contextlib.suppress(WheellegError):  # The index has reported errors, such as a full disk, before.
                 self._reap()

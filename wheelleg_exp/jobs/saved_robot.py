@@ -1,7 +1,7 @@
-"""Save the simulated robot in a run directory, and load it from there.
+"""Save the simulated robot in a run directory, and load a robot from a run directory.
 
-The folder ``asset/`` holds the MJCF, its meshes, networks of other runs, and the conversion report. ``asset.json``
-names the source files and the digest of the compiled model.
+The folder ``asset/`` of a run contains the MJCF file, its meshes, networks of other runs, and the conversion report.
+``asset.json`` contains the digests of the robot's source files and of the compiled model.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 def saved_mjcf(directory: RunDirectory) -> Path:
     """Return the path of the MJCF in a run directory."""
-    # Refuse an MJCF with an element that no conversion writes, because it makes MuJoCo read other files, load
-    # libraries, or allocate any amount of memory.
+    # Raise an error for an MJCF file with an element that no conversion writes.
+    # Such an element can make MuJoCo read other files, load libraries, or allocate any amount of memory.
     path = directory.asset / MJCF
     if not path.is_file():
         message = "the run directory contains no MJCF of the robot"
@@ -58,7 +58,7 @@ def saved_mjcf(directory: RunDirectory) -> Path:
         raise RunDirectoryError(f"the file is not an MJCF: {error}", key=str(path)) from error
     for element in elements:
         if element.tag in _FORBIDDEN_TAGS:
-            raise RunDirectoryError(f"the file holds <{element.tag}>, which no conversion writes", key=str(path))
+            raise RunDirectoryError(f"the file contains <{element.tag}>, which no conversion writes", key=str(path))
         for name, value in element.items():
             if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
                 message = f"the file names {value!r}, outside its folder"
@@ -77,13 +77,13 @@ def saved_sources(directory: RunDirectory) -> dict[str, str]:
 
 
 def saved_networks(directory: RunDirectory) -> dict[str, Path]:
-    """Return the saved networks of other runs, by their paths next to the robot."""
+    """Return the saved network files of other runs, by their paths relative to the robot's folder."""
     named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
     return {name: path for name, path in named.items() if path.is_file()}
 
 
 def load_saved_robot(directory: RunDirectory) -> CachedConversion:
-    """Return the converted robot that a run directory holds."""
+    """Load the converted robot that a run directory contains."""
     path = directory.asset / REPORT
     try:
         report = Report.from_json(read_text(path))
@@ -102,7 +102,7 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
-    """Raise ConfigError, with the violated ``rule``, if overrides changed the robot of a run."""
+    """Raise ConfigError with the message ``rule`` if overrides changed the robot of a run."""
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
             expected = "the run's own value; another robot needs a new run"

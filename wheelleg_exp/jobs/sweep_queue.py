@@ -1,8 +1,8 @@
-"""Run sweep jobs through a queue: Slurm's (submitit), or a Ray cluster.
+"""Run sweep jobs through the job queue of Slurm (with submitit) or of a Ray cluster.
 
-The machine of the sweep and the machine of a job exchange files in the job's folder, which both must see:
-``request.json`` is written before the job is submitted, ``events.jsonl`` grows while the job runs, and the file
-``stop`` requests a stop of the job. submitit and Ray are optional and imported only when their launcher is made.
+The machine of the sweep and the machine of a job exchange files in the job's folder, which both machines must see. The
+file ``request.json`` describes the job. The job appends its events to ``events.jsonl``. The file ``stop`` requests a
+stop of the job. submitit and Ray are optional, and imported only when their launcher is created.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
 SOON, NOW = "soon", "now"  # the content of STOP
 _FOLDER = "jobs"
 _WAIT_S = 0.3
-_PATIENCE_S = 90.0  # Slurm kills a job 120 s after its warning.
-# The import path, read before a queue's library changes ``sys.path``.
+_PATIENCE_S = 90.0  # The wait must be shorter than the 120 s between Slurm's warning and the kill.
+# The import path of this process, before submitit or Ray change ``sys.path``.
 _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 
 
 class QueueWorker:
-    """Runs one job on another machine. The queue pickles the ``QueueWorker``, which has no attributes.
+    """Runs one sweep job on another machine. The queue pickles the ``QueueWorker``, which has no attributes.
 
-    The job's process gets those environment variables of the sweep's machine that change numbers, so that the numbers
-    do not depend on the environment of the job's machine.
+    The job's process gets the environment variables of the sweep's machine that can change results. So the results do
+    not depend on the environment variables of the job's machine.
     """
 
     _child: Child | None = None
@@ -48,18 +48,18 @@ class QueueWorker:
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         if (place / EVENTS).exists():
-            raise RuntimeError("the job has run already, and does not run again")
+            raise RuntimeError("the job has already run, and a job runs only once")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # The machines may have different installations.
+        path = request["path"] if same else sys.path  # A job with a different installation needs its own import path.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
-        with ThreadPoolExecutor(1) as reader:  # A signal interrupts only the main thread.
+        with ThreadPoolExecutor(1) as reader:  # A signal interrupts only the main thread, not the reader.
             self._relayed = reader.submit(self._relay, self._child, place)
             return self._relayed.result()
 
     def checkpoint(self, folder: str) -> None:
-        """Stop the job with a checkpoint when its time is over; submitit calls this method. No restart follows."""
+        """Stop the job with a checkpoint. submitit calls this method when the job's time is over, without a restart."""
         del folder
         if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
@@ -105,7 +105,7 @@ class Ticket(Protocol):
         """Return whether the job has left the queue for any reason."""
 
     def cancel(self) -> None:
-        """Remove the job from the queue, or end the job."""
+        """Remove a waiting job from the queue, or end a running job."""
 
     def why(self) -> str:
         """Return the queue's reason for the end of a job that sent no last event."""
@@ -114,7 +114,7 @@ class Ticket(Protocol):
 class QueuedJob:
     """A job in a queue. The events of the job come from the file that the job's ``QueueWorker`` writes.
 
-    ``ticket`` is None until the job is submitted, and ``ended`` is the event with which the job ended, or None.
+    ``ticket`` is None until the job is submitted. ``ended`` is the job's last event, or None while the job runs.
     """
 
     def __init__(self, folder: Path, request: JobRequest) -> None:
@@ -151,7 +151,7 @@ class QueuedJob:
         return self._stopped if self.ticket is None else self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop at its next whole iteration; remove a waiting job from the queue."""
+        """Ask a running job to stop after its current iteration; remove a waiting job from the queue."""
         if self._stopped:
             return
         self._stopped = True
@@ -164,12 +164,12 @@ class QueuedJob:
         write_text(self.folder / STOP, NOW)
 
     def kill(self) -> None:
-        """Remove the job from the queue."""
+        """Remove the job from the queue at once."""
         if self.ticket is not None:
             self.ticket.cancel()
 
     def close(self) -> None:
-        """Keep the events in the job's folder, because users may read them."""
+        """Do nothing, so that the event file remains in the job's folder for users."""
 
     def describe_death(self) -> str:
         """Return the queue's reason for the end of the job."""
@@ -177,7 +177,7 @@ class QueuedJob:
 
 
 class Queue:
-    """Base class of launchers that submit jobs to a queue."""
+    """The base class of the launchers that submit jobs to a queue."""
 
     queued = True
 
@@ -186,13 +186,13 @@ class Queue:
         self._pending: list[QueuedJob] = []
 
     def start(self, number: int, request: JobRequest) -> Job:
-        """Write the request of a job; ``listen`` submits all prepared jobs together."""
+        """Write the request file of a job; the method ``listen`` submits all prepared jobs together."""
         job = QueuedJob(self._folder / str(number), request)
         self._pending.append(job)
         return job
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Submit jobs, and return the ticket of each."""
+        """Submit jobs to the queue, and return one ticket per job."""
         raise NotImplementedError
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
@@ -209,7 +209,7 @@ class Queue:
         yield from found
 
 
-# Settings that submitit accepts without an executor name as a prefix.
+# submitit accepts these settings without the name of an executor as prefix.
 _SHARED_SETTINGS = (
     *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
@@ -221,7 +221,7 @@ _OTHER_SETTINGS = ("_target_", "submitit_folder", *_EXECUTOR_SETTINGS)
 class SubmititLauncher(Queue):
     """Submits jobs through submitit, as hydra-submitit-launcher does: the jobs of one sweep are one Slurm array.
 
-    ``cluster`` is ``slurm`` or ``local``, and ``settings`` are the plain settings of ``hydra.launcher``.
+    ``cluster`` is ``slurm`` or ``local``, and ``settings`` is the config section ``hydra.launcher``.
     """
 
     def __init__(self, cluster: str, settings: Mapping[str, Any], folder: Path) -> None:
@@ -241,7 +241,7 @@ class SubmititLauncher(Queue):
             raise ConfigError(message, key="hydra.launcher", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Submit all jobs as one array."""
+        """Submit all jobs as one Slurm job array."""
         try:
             with self._executor.batch():
                 found = [self._executor.submit(QueueWorker(), str(job.folder)) for job in jobs]
@@ -265,12 +265,12 @@ class _SubmititTicket:
     def why(self) -> str:
         words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
         last = f": {words[-1][:300]}" if words else ""
-        # submitit's local executor reports FINISHED for every ended job.
+        # Do not show FINISHED, because submitit's local executor reports this state for every ended job.
         state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
 
-_OBJECT_STORE = 78_643_200  # Ray's minimum in bytes, because tasks exchange only folder names.
+_OBJECT_STORE = 78_643_200  # Ray's minimum size in bytes is enough, because tasks exchange only folder names.
 _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
 
 
@@ -283,12 +283,12 @@ class RayLauncher(Queue):
         super().__init__(folder)
         chosen = settings["ray"]
         init = {**_INIT, **chosen["init"]}
-        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts a local cluster.
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts a local cluster here.
             init.setdefault("object_store_memory", _OBJECT_STORE)
         try:
             if not ray.is_initialized():
                 ray.init(**init)
-            options = {"max_retries": 0, **chosen["remote"]}  # A job that dies is reported, not restarted.
+            options = {"max_retries": 0, **chosen["remote"]}  # Ray must not restart a job that died.
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
             message = f"Ray refuses it: {_one_line(error)[:300]}"
@@ -331,7 +331,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher of Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
+    """Return the launcher ``name`` of Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

@@ -1,4 +1,4 @@
-"""Set the number of torch's threads, and describe the threads and the arithmetic that a run records."""
+"""Set the number of torch threads, and describe threads and floating-point settings for a run's manifest."""
 
 from __future__ import annotations
 
@@ -17,28 +17,29 @@ from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
-# MKL numbers its code branches (mkl_types.h, MKL_CBWR_*).
+# The names of MKL's code branches, in the order of their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
-_in_time: list[bool] = []  # One late call of prepare_threads marks the process for its lifetime.
+_in_time: list[bool] = []  # for each call of prepare_threads, whether the call was early enough
 
 _STRICT = 0x10000
 _EVERYTHING = -1
-_VECTOR_STEP = 32  # A step of torch's vector loops has 32 numbers: two AVX-512 vectors.
+_VECTOR_STEP = 32  # One step of torch's vector loops computes 32 numbers, which are two AVX-512 vectors.
 # In these MKL branches, the number of threads changes matrix products, even in strict mode.
 _THREADED_BRANCHES = ("off", "compatible")
 
 
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
-    """Set torch's threads from ``agent.torch_threads``, and return what a run records about threads and arithmetic.
+    """Set torch's thread count to ``agent.torch_threads``; return facts about threads and arithmetic for the manifest.
 
-    ``samples`` is the number of environment steps of one rollout of a training, None without training. The result says
-    whether the numbers are ``independent`` of torch's threads, and otherwise ``dependent_because``.
+    ``samples`` is the number of environment steps in one rollout of a training, or None without a training. In the
+    result, ``independent`` is true if the thread count cannot change the training's numbers. Otherwise
+    ``dependent_because`` lists the reasons.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
         raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
-    _in_time.append(prepare_threads())  # MKL reads its variable at its first use, OpenMP at torch's import.
+    _in_time.append(prepare_threads())  # MKL reads its variable at its first use, and OpenMP when torch is imported.
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
     reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples))
@@ -61,9 +62,9 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return changes to the record of threads; empty unless bfloat16 matrix products depend on the number of threads.
+    """Return changes to the result of ``set_threads`` if bfloat16 matrix products depend on the thread count.
 
-    ``samples`` is the number of environment steps of one rollout, ``threads`` the result of ``set_threads``.
+    ``samples`` is the number of environment steps in one rollout. ``threads`` is the result of ``set_threads``.
     """
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
@@ -83,7 +84,7 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 
 
 def mkl_in_force() -> dict[str, Any] | None:
-    """Return MKL's code branch and whether MKL is strict; None if torch has no MKL.
+    """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
     The branch and the strict mode are None if MKL does not return them. The query fixes the mode of MKL: environment
     variables that are set later have no effect.
@@ -123,14 +124,14 @@ def _libraries() -> list[str]:
 
 
 def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
-    """Return the number of samples over which the PPO update computes a mean."""
+    """Return the largest number of samples over which the PPO update computes a mean."""
     return (samples or 0) // max(1, int((agent.get("algorithm") or {}).get("num_mini_batches", 1)))
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
     """Return a warning about activations whose rounding depends on the number of threads."""
-    # torch gives each thread a part of the numbers. The last numbers of a chunk, which do not fill a vector, are
-    # computed by scalar code, which rounds differently.
+    # torch gives each thread a chunk of the numbers.
+    # Scalar code, which rounds differently, computes the last numbers of a chunk if they do not fill a vector.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
@@ -146,7 +147,7 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
 
 
 def _splits(numbers: int, threads: int) -> bool:
-    """Return whether torch splits so many numbers into chunks whose size is not a multiple of ``_VECTOR_STEP``."""
+    """Return whether torch splits ``numbers`` values into chunks whose size is not a multiple of ``_VECTOR_STEP``."""
     parts = min(threads, -(-numbers // SPLIT_ABOVE))
     return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 

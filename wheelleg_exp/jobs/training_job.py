@@ -17,7 +17,7 @@ from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.machine import own_environ
 from wheelleg_exp.stop_request import StopRequest
 
-# The child process imports from the parent's folders, whatever the working folder is.
+# The child process imports from the parent's import path, independent of the working directory.
 _BOOT = (
     "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
     "from wheelleg_exp.jobs.training_job import main; sys.exit(main())"
@@ -31,11 +31,11 @@ class JobRequest:
     kind: Literal["train", "resume", "evaluate"]
     overrides: list[str]
     config_dirs: list[str]
-    command: list[str]  # the equivalent command line, for the manifest
-    digest: str = ""  # of the checked config of a training
+    command: list[str]  # the equivalent command line, which the manifest records
+    digest: str = ""  # the digest of a training's config after the check
     run: str = ""
     checkpoint: str = ""
-    root: str = "runs"  # the folder of all runs
+    root: str = "runs"  # the root folder of all runs
 
     def line(self) -> bytes:
         """Return the request as one line of JSON."""
@@ -43,7 +43,7 @@ class JobRequest:
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command of a child process that serves a job; ``path`` is its import path (default ``sys.path``)."""
+    """Return the command of a child process that runs a job; ``path`` is the import path (default ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 
@@ -53,12 +53,12 @@ def run_request(request: JobRequest, stop: StopRequest) -> AbstractContextManage
 
 
 def main() -> int:
-    """Serve the request on standard input, and return the exit status."""
+    """Read a job request from standard input, run the job, and return the exit status."""
     return serve_job(serve)
 
 
 def serve(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
-    """Do the job that one request line describes."""
+    """Run the job that one line of JSON describes."""
     request = JobRequest(**json.loads(line))
     {"train": _train, "resume": _resume, "evaluate": _evaluate}[request.kind](pipe, request, stop)
 
@@ -94,7 +94,7 @@ def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     run_directory = RunDirectory.open(request.run, request.root)
     keep_kernels(run_directory.manifest().data.get("environment_variables") or {})
 
-    # These modules import tensordict, which uses MKL, so that they must follow keep_kernels.
+    # Import these modules after keep_kernels, because they import tensordict, which uses MKL.
     from wheelleg_exp.jobs.train.resume_training import prepare_resume
     from wheelleg_exp.jobs.train.run_training import run
 

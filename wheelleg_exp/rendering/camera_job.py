@@ -13,28 +13,28 @@ from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# The number of channels and the data type of one pixel.
+# For each layer of a picture, the number of channels and the data type of one pixel.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
-_BEYOND = 0.999  # A depth beyond this share of the clipping distance means that the pixel has no surface.
+_BEYOND = 0.999  # A depth above this fraction of the far clipping distance means that the pixel shows no surface.
 _AMBIENT = 0.4
-_HIDDEN = 5  # MuJoCo does not draw this geom group.
+_HIDDEN = 5  # the geom group of hidden geoms, which MuJoCo does not draw
 
 
 @dataclass(frozen=True)
 class CameraOrder:
-    """A camera of a compiled scene to draw, with the picture's size, px, and the clipping range along its axis, m."""
+    """A request to draw one camera of a scene, with the picture's size, px, and the clipping range, m."""
 
     model: Any
     camera: str
     width: int
     height: int
     clipping_range: tuple[float, float]
-    layers: Sequence[Layer]  # colours, distances along the axis, m (inf: no surface), or geom ids (-1: none)
+    layers: Sequence[Layer]  # colours, distances along the axis, m (inf if no surface), or geom ids (-1 if no geom)
 
 
 @dataclass(frozen=True)
 class Poses:
-    """The joint positions of n simulations, (n, nq). Each simulation is drawn alone, with all its layers."""
+    """The joint positions of n simulations, (n, nq). Each simulation is drawn separately, with all picture layers."""
 
     qpos: Array
 
@@ -43,12 +43,12 @@ class Poses:
 def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
     import mujoco
 
-    # The model with the picture's size, the clipping range, and only its visible geoms.
+    # Set the model's picture size and clipping range, and hide its invisible geoms.
     from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
-    # With a light at the camera, a surface that faces the camera has its material's brightness, without highlights.
+    # The light is at the camera, so that a surface that faces the camera has the brightness of its material.
     light = model.vis.headlight
     light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
     near, far = order.clipping_range
@@ -78,7 +78,8 @@ class _Draw:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        for _ in range(2):  # Update twice, because MuJoCo centres an infinite plane at the camera's previous position.
+        # Update the scene twice, because MuJoCo centres an infinite plane at the camera's previous position.
+        for _ in range(2):
             self._renderer.update_scene(self._data, self._order.camera, self._option)
         return [getattr(self, layer)() for layer in self._order.layers]
 

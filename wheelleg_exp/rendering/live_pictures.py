@@ -1,4 +1,4 @@
-"""Pictures of running simulations and camera sensors, drawn from copied positions, so nothing changes them."""
+"""Draw running simulations and camera sensors from copied positions, so that drawing does not change a simulation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAMPLES = 4
 
 
 class LivePictures:
-    """Draws a compiled scene at positions; the camera follows the root body ``root`` at a fixed distance.
+    """Draws a compiled scene at given joint positions; the camera follows the body ``root`` at a fixed distance.
 
     The drawing process starts with the first picture and stops when ``close`` is called.
     """
@@ -34,7 +34,7 @@ class LivePictures:
         self._started = False
 
     def draw(self, qpos: Array) -> NDArray[np.uint8]:
-        """Return a picture (height, width, 3) at positions (nq,); NoGraphics or SimulationFailure if drawing fails."""
+        """Return a picture (height, width, 3) at joint positions (nq,), or raise NoGraphics or SimulationFailure."""
         qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
         if not self._started:
             scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))
@@ -56,7 +56,7 @@ class LivePictures:
 
 
 class CameraPictures:
-    """Draws one camera's pictures (see ``CameraOrder``) in a process from the first picture until deletion."""
+    """Draws pictures of one camera (see ``CameraOrder``) in a child process, which starts with the first picture."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class CameraPictures:
         weakref.finalize(self, self._open.close)
 
     def draw(self, qpos: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return each layer, (n, height, width, channels), of the scene at positions (n, nq)."""
+        """Return each layer of the pictures, (n, height, width, channels), at the joint positions (n, nq)."""
         if self._worker is None:
             self._worker = self._open.enter_context(working("wheelleg_exp.rendering.camera_job", self._order))
         order, forms = self._order, [(layer, *FORMS[layer]) for layer in self._order.layers]

@@ -1,4 +1,4 @@
-"""Draw views of a scene in a worker process, which a graphics driver may abort; MuJoCo's backend is set at import."""
+"""Draw views of a scene in a worker process, because a graphics driver can abort the process that uses the driver."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class View:
-    """The body poses of one picture, (B, 3) and (B, 4), wxyz, its arrows, and its camera, with angles in degrees."""
+    """One picture to draw, with body positions (B, 3) and orientations (B, 4), wxyz, arrows, and the camera."""
 
     pos: Array
     quat: Array
@@ -74,7 +74,7 @@ def _draw(view: View, renderer: Any, model: Any, data: Any) -> np.ndarray[Any, A
             break
         geom = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(arrow.rgba, np.float32))
-        # MuJoCo draws an arrow with half of the given length.
+        # Double the arrow's vector, because MuJoCo draws an arrow with half of the given length.
         mujoco.mjv_connector(geom, kind, arrow.radius, arrow.origin, 2 * arrow.end - arrow.origin)
         geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
         scene.ngeom += 1

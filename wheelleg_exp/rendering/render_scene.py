@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAR = 1e6  # m; objects beyond this distance are not drawn
+FAR = 1e6  # Objects beyond this distance, m, are not drawn.
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class Shape:
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1
-    vertices: NDArray[np.float64] | None = None  # of a mesh, (n, 3), m
-    faces: NDArray[np.int64] | None = None  # triangles (m, 3)
+    vertices: NDArray[np.float64] | None = None  # the vertices of a mesh, (n, 3), m
+    faces: NDArray[np.int64] | None = None  # the vertex indices of the triangles of a mesh, (m, 3)
     normals: NDArray[np.float64] | None = None  # (n, 3)
 
     def corners(self) -> Array:
-        """Return the corners of a box around the shape, (n, 3), m, in the body's frame."""
+        """Return the corners of the shape's bounding box in the body's frame, (n, 3), m."""
         if self.vertices is not None:
             low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         else:
@@ -43,7 +43,7 @@ class Shape:
 
 
 def rotated(quat: Sequence[float] | Array, vectors: Array) -> Array:
-    """Return vectors (..., 3) rotated by a unit quaternion, wxyz."""
+    """Rotate vectors (..., 3) by a unit quaternion, wxyz."""
     w, axis = quat[0], np.asarray(quat[1:])
     cross = np.cross(axis, vectors)
     return np.asarray(vectors + 2 * (w * cross + np.cross(axis, cross)))
@@ -69,23 +69,23 @@ class Scene:
     bodies: Mapping[str, Sequence[Shape]]
     fixed: Sequence[Shape]
     ground: Ground | None
-    root: int  # the body that the camera follows
-    size: float  # approximate height of the robot, m
+    root: int  # the index of the body that the camera follows
+    size: float  # the approximate height of the robot, m
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, that enclose the robot, for poses (B, 3) and (B, 4) of the bodies."""
+    """Return points (n, 3), m, that enclose the robot at body positions (B, 3), m, and orientations (B, 4), wxyz."""
     corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
-AZIMUTH, ELEVATION = 142.0, -14.0  # degrees, as in MuJoCo's camera
-FOV = 30.0  # the vertical angle of view, degrees; a small angle does not distort small robots
-_FILLED = 0.64  # the robot's share of the picture's height and width
+AZIMUTH, ELEVATION = 142.0, -14.0  # the angles of the camera, degrees, as MuJoCo defines them
+FOV = 30.0  # the vertical field of view, degrees; a small angle does not distort the robot
+_FILLED = 0.64  # The robot fills this fraction of the picture's height or width.
 
 
 def camera_distance(cloud: Array, aspect: float) -> float:
-    """Return the camera's distance at which points around the origin fill the robot's share of the picture."""
+    """Return the camera distance, m, at which points around the origin fill the robot's part of the picture."""
     right, up, back = camera_axes()
     tall = _FILLED * np.tan(np.radians(FOV) / 2)
     return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / (tall * aspect), np.abs(cloud @ up) / tall)))

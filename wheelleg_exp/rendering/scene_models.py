@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
-VISUAL_GROUP = 2  # By MuJoCo's convention, this group contains visual geoms.
+VISUAL_GROUP = 2  # By convention, this geom group of a MuJoCo model contains the visual geoms.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # how many sizes a solid has
+_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # the number of size parameters of each solid
 _KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in (*_SIZES, "mesh")}
 _SOLIDS = {int(_KINDS[name]): (name, count) for name, count in _SIZES.items()}
 _SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -32,7 +32,7 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the scene of a compiled model, whose bodies except the world become the scene's bodies, in order.
+    """Return the scene of a compiled model; all bodies except the world become bodies of the scene, in model order.
 
     The camera follows the body ``root``; ``size`` is the height of the robot, m.
     """
@@ -75,7 +75,7 @@ def is_plane(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's geoms to draw (its visual group, else its colliders), and its colliders if they differ."""
+    """Return a body's geoms to draw (visual geoms, else colliders), and its colliders if the colliders differ."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -108,7 +108,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
     start = int(model.hfield_adr[field])
     height = model.hfield_data[start : start + rows * columns] * elevation
     x, y = np.meshgrid(np.linspace(-radius_x, radius_x, columns), np.linspace(-radius_y, radius_y, rows))
-    # Each grid cell becomes two triangles; `low` is the index of its corner with the smallest x and y.
+    # Each grid cell becomes two triangles. `low` is the index of the cell's corner with the smallest x and y.
     low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
     vertices = np.column_stack((x.ravel(), y.ravel(), height))
@@ -119,7 +119,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
 
 
 class Kinematics:
-    """Forward kinematics on a separate ``MjData``, so that the simulation is not changed."""
+    """Computes forward kinematics on a separate ``MjData``, so that the simulation is not changed."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -142,9 +142,9 @@ class Kinematics:
         return positions, orientations
 
     def height(self, root: int, qpos: Array) -> float:
-        """Return the height of the robot with the root body ``root`` at ``qpos``, m; at least 0.01."""
+        """Return the height, m, of the robot with the root body ``root`` at joint positions ``qpos``; at least 0.01."""
         self.update(qpos)
-        # The body ``root`` and all bodies below it.
+        # Collect the body ``root`` and all its descendants.
         bodies = [root]
         for body in range(root + 1, self._model.nbody):
             if int(self._model.body_parentid[body]) in bodies:
@@ -164,18 +164,18 @@ _SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a scene; its mocap bodies follow the light's rig, in order.
+    """Return the compiled MuJoCo model of a scene; its mocap bodies are the light's body, then the scene's bodies.
 
-    ``samples`` are the samples per pixel, against jagged edges; 0 if the driver has none.
+    ``samples`` is the number of samples per pixel against jagged edges; 0 if the driver cannot use several samples.
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)
-    # A terrain needs a larger shadow area, so that the area's border is outside the picture.
+    # A terrain needs a larger shadow area, so that the border of the shadow area is outside the picture.
     spec.visual.map.shadowclip = 8.0 if scene.fixed else 2.5
     spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
         _floor(spec, scene.ground.height, scene.ground.tile)
-    # Add a key light with shadows and a fill light from the other side, on a rig that follows the robot.
+    # Add a main light with shadows and a weaker light from the other side, on a body that follows the robot.
     rig = spec.worldbody.add_body(name=RIG, mocap=True)
     for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
         position = np.array(place) * 4.0 * scene.size
@@ -217,7 +217,7 @@ def _floor(spec: Any, height: float, tile: float) -> None:
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
     )  # fmt: skip
-    # A checker texture has two squares along each edge.
+    # The factor 0.5 is needed because a checker texture has two squares along each edge.
     material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
     spec.worldbody.add_geom(

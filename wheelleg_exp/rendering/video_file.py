@@ -1,4 +1,4 @@
-"""Encode pictures as a video file: H.264, the format that browsers play."""
+"""Encode pictures as a video file in H.264, a format that browsers can play."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ def write(
 ) -> str:
     """Write pictures (height, width, 3) as a video atomically, and return the codec's name.
 
-    The file ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is the even width and height, px; ``progress``
-    receives the number of finished pictures. WheellegError if the file cannot be written, or if no encoder exists.
+    The file ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is the width and height, px, two even numbers.
+    ``progress`` receives the number of finished pictures. WheellegError means that the file cannot be written or that
+    no encoder exists.
     """
     import av
 
@@ -70,4 +71,6 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
         stream.pix_fmt = "yuv420p"
         stream.options = dict(_QUALITY) if codec == "libx264" else {}
         return stream, codec
-    raise WheellegError("PyAV has no encoder for videos", expected="PyAV from its wheels: pip install av")
+    raise WheellegError(
+        "PyAV has neither an H.264 nor an MPEG-4 encoder", expected="PyAV from its wheels: pip install av"
+    )

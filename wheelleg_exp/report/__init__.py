@@ -38,11 +38,11 @@ def make_report(
 ) -> Report:
     """Write the report of one run, or one report of several runs.
 
-    Each argument is a run's path, a run's id, ``latest``, the folder of a deployed agent's run, or a sweep. The default
-    output is ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for several runs. ``command``
-    is the command line for the manifest. ``pictures`` is true if the report shows pictures of the robot. The function
-    raises WheellegError if a run does not exist, the file cannot be written, or the file exists and is not a report of
-    the run.
+    Each item of ``run`` is a run's path, a run's id, ``latest``, the folder of a deployed agent's run, or a sweep. The
+    default output is ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for several runs.
+    ``command`` is the command line that the manifest records. ``pictures`` is true if the report shows pictures of the
+    robot. The function raises WheellegError if a run does not exist, the file cannot be written, or the file exists and
+    is not a report of the run.
     """
     from wheelleg_exp.report.pictures_section import Look
     from wheelleg_exp.report.provenance_section import judge

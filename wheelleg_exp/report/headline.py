@@ -12,13 +12,13 @@ from wheelleg_exp.report.page_blocks import Card, Tone
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
-_GOOD, _FAIR = 0.95, 0.5  # A card is green from 95 % survival and yellow from 50 %.
+_GOOD, _FAIR = 0.95, 0.5  # A card is green if at least 95 % of episodes survive, and yellow if at least 50 % do.
 # The colour tone in which the report shows the status of a run.
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def played(subject: Subject) -> dict[str, Any]:
-    """Return the metrics of the run's last play, or of the agent's run; empty without metrics."""
+    """Return the metrics of the run's last play, or of a deployed agent's run; empty if no metrics exist."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
         return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
@@ -27,7 +27,7 @@ def played(subject: Subject) -> dict[str, Any]:
 
 
 def ended(figures: Mapping[str, Any]) -> int | None:
-    """Return the number of episodes that ended in a play; None if the number is unknown."""
+    """Return the number of episodes that ended during a play; None if the number is unknown."""
     episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
     return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
 

@@ -1,8 +1,8 @@
 """Draw matplotlib plots as inline SVG of an HTML page.
 
-``drawn`` draws each panel separately, narrow enough for a phone, with the panel's title as text of the page. ``clean``
-makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference leaves the
-page.
+``drawn`` draws each panel separately, narrow enough for a phone, with the panel's title as text of the HTML page.
+``clean`` makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference
+leaves the page.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ _FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\"
 def clean(svg: str, prefix: str, title: str) -> str:
     """Return an SVG without prolog, scripts, links, and foreign styles; raise ValueError for text that is not SVG.
 
-    ``prefix`` is prepended to the ids in the SVG, so that two drawings of a page share no id. ``title`` is the
+    ``prefix`` is prepended to the ids in the SVG, so that the ids of two drawings on a page differ. ``title`` is the
     description for readers who do not see the drawing.
     """
     try:
         root = ElementTree.fromstring(re.sub(r"<!DOCTYPE[^>\[]*>", "", svg))
     except ElementTree.ParseError as error:
-        raise ValueError(f"this is not SVG: {error}") from error
+        raise ValueError(f"the text is not SVG: {error}") from error
     if _local(root.tag) != "svg":
-        raise ValueError("this is not SVG")
+        raise ValueError("the text is not SVG")
     kept = _copy(root, prefix)
     box = (root.get("viewBox") or f"0 0 {_length(root, 'width')} {_length(root, 'height')}").split()
     kept.set("viewBox", " ".join(box))
@@ -75,7 +75,7 @@ def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
 def _attributes(element: ElementTree.Element, prefix: str) -> Iterator[tuple[str, str]]:
     for name, value in element.attrib.items():
         local = _local(name)
-        # References inside the SVG get the prefix of their targets' ids; all references to other files are removed.
+        # A reference inside the SVG gets the same prefix as the ids. References to other files are removed.
         if local == "href" and value.startswith("#"):
             yield "href", f"#{prefix}-{value[1:]}"
         elif local == "id":
@@ -92,15 +92,14 @@ def _length(root: ElementTree.Element, name: str) -> str:
     return re.sub(r"[^\d.]", "", root.get(name, "")) or "100"
 
 
-# The width of a drawing in inches. In this width, letters of 8.5 pt are readable on a phone's screen, about 345 px
-# wide.
+# A drawing has this size in inches, so that letters of 8.5 pt are readable on a phone's screen of 345 px.
 _WIDTH, _HEIGHT = 3.9, 2.15
 _MOST_COLUMNS = 3
-_LETTER, _LEGEND_ROW = 0.075, 0.17  # inches per character and per row of a legend
+_LETTER, _LEGEND_ROW = 0.075, 0.17  # the width of a character and the height of a legend row, inches
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
-    """Return plot panels as drawings of the page, in pairs if ``paired``; ``prefix`` makes SVG ids unique."""
+    """Return plot panels as drawings for the report, in pairs if ``paired``; ``prefix`` makes SVG ids unique."""
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 
 

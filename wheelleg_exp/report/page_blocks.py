@@ -25,9 +25,9 @@ class Cell:
     """One cell of a table."""
 
     text: str
-    number: bool = False  # aligned to the right, with digits of equal width
+    number: bool = False  # whether the cell is aligned to the right, with digits of equal width
     code: bool = False  # marks code and digests
-    bar: float | None = None  # a share in -1 … 1, drawn as a bar behind the text
+    bar: float | None = None  # a number in -1 … 1 that is drawn as a bar behind the text
     tone: Tone = ""
 
 
@@ -75,7 +75,7 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True  # false if a heading above the table replaces the title
+    titled: bool = True  # whether the page shows the table's title; false if a heading replaces the title
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """The content of a whole report."""
+    """The content of a whole report page."""
 
     run: str
     task: str

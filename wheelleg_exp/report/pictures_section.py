@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
-_FIRST, _LAST, _PLAY = 0, -1, 1  # The page shows pictures of the first, the last, and the play's episode.
+_FIRST, _LAST, _PLAY = 0, -1, 1  # The report shows the first and last training episode, and the play's episode.
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Episode:
     end: float
     step_s: float
     ended_by: tuple[str, ...]
-    is_whole: bool  # recorded from its start to its end
+    is_whole: bool  # whether the episode was recorded from its start to its end
 
     @property
     def seconds(self) -> float:
@@ -47,7 +47,7 @@ class Episode:
 
 @dataclass
 class Look:
-    """The recordings of a run; each file is opened once. The page reports a recording that cannot be read."""
+    """The recordings of a run; each file is opened once. The report shows an error if a recording cannot be read."""
 
     subject: Subject
     pictures: bool = True  # whether the report shows pictures of the robot
@@ -120,7 +120,7 @@ class Look:
     def _pictures(
         self, recording: Recording, times: list[float], size: tuple[int, int], alts: list[str], captions: list[str]
     ) -> list[Picture]:
-        """Return pictures of the robot; after the first failure, return no further pictures."""
+        """Return pictures of the robot; after the first rendering error, return no further pictures."""
         if not self.pictures or self._missing is not None:
             return []
         try:
@@ -163,10 +163,11 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the episode that the pictures show, and the sample of this episode."""
-    # ``_FIRST`` selects the first training episode. ``_PLAY`` selects the first episode of a play, whose metrics the
-    # page lists. ``_LAST`` selects the first complete episode of the last sample that has a complete episode. Without
-    # complete episodes, as in old recordings, ``_LAST`` selects the longest episode of the last sample.
+    """Return the sample and the episode that the pictures of the report show."""
+    # ``_FIRST`` selects the first training episode.
+    # ``_PLAY`` selects the first episode of a play, whose metrics the report lists.
+    # ``_LAST`` selects the first complete episode of the last sample that has a complete episode.
+    # If the recording has no complete episode, ``_LAST`` selects the longest episode of the last sample.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):

@@ -1,7 +1,7 @@
 """Report sections on provenance and reproducibility.
 
 The sections list the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One
-section compares the run with its manifest, its replays, and runs of the same settings and seed.
+section compares the run with its manifest, its replays, and other runs with equal settings and an equal seed.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def robot(subject: Subject) -> list[Block]:
-    """Return blocks about what the robot's conversion read, assumed, and omitted."""
+    """Return blocks about the inputs, assumptions, and omissions of the robot's conversion."""
     report = _json(subject, "asset/report.json")
     if not report:
         return [Note("There is no report of the robot's conversion.", "")]
@@ -214,7 +214,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # Each comparison of two runs opens checkpoints.
+_COMPARED = 3  # The number of compared runs is limited, because each comparison opens checkpoints.
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -224,9 +224,9 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 class Repeat:
     """Another run that should be bitwise equal to the reported run, and the result of the comparison."""
 
-    label: str  # the other run's task and id
-    how: str  # ``replay``, ``original``, or ``same settings``
-    verdict: str  # of the comparison, or ``not compared``
+    label: str  # the task and id of the compared run
+    how: str  # the relation of the runs: ``replay``, ``original``, or ``same settings``
+    verdict: str  # the verdict of the comparison, or ``not compared``
     reason: str
     lines: Sequence[str]  # the whole comparison
 
@@ -242,7 +242,7 @@ class Verdict:
     problem: str = ""
 
     def blocks(self) -> list[Block]:
-        """Return the section of the report on reproducibility."""
+        """Return the blocks of the report's section on reproducibility."""
         subject, found = self.subject, [*_found(self), *_repeated(self)]
         if original := subject.manifest.get("replay_of"):
             found.append(Text(f"This run is itself a replay of {original}."))
@@ -253,13 +253,13 @@ class Verdict:
 
 
 def judge(subject: Subject) -> Verdict:
-    """Check a run against its manifest, and compare the run with its replays and with runs of the same settings."""
+    """Check a run against its manifest, and compare the run with its replays and with runs of equal settings."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
     from wheelleg_exp.verify import verify_run
 
     odd = odd_entries(subject.path)
-    if odd:  # A symbolic link can point to private files outside the run directory.
+    if odd:  # Read no file, because a symbolic link can point to private files outside the run directory.
         damaged = Card("Reproducibility", "Damaged", note="it holds links or pipes", tone="bad")
         name, what = next(iter(odd.items()))
         return Verdict(damaged, None, [], subject, f"{name} is {what}, which may lead anywhere")
@@ -308,7 +308,7 @@ def _found(verdict: Verdict) -> list[Block]:
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Return the result of the manifest check. Report files are ignored, so that one report does not change another."""
+    """Return the result of the manifest check. Reports are ignored, so that a new report does not change the result."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)

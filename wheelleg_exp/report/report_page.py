@@ -52,11 +52,11 @@ def render_page(page: Page) -> str:
 
 
 NAME = "report.html"
-_HEAD = 4096  # The first 4096 bytes of a report contain its mark.
+_HEAD = 4096  # The first 4096 bytes of a report contain the mark with the run's name.
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:
-    """Return the path of the report; raise WheellegError if another file has the path or the folder is not writable."""
+    """Return the path of the report; raise WheellegError if the path is taken by another file or is not writable."""
     path = subject.path / NAME if output is None else output
     if path.is_dir():
         raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")

@@ -38,10 +38,10 @@ class Subject:
     """One training run, or one run of a deployed agent."""
 
     path: Path
-    run: RunDirectory | None  # None for an agent's run, which has no manifest
+    run: RunDirectory | None  # None for the run of a deployed agent, which has no manifest
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT  # of the manifest, ``crashed``, or ``agent``
-    config: dict[str, Any] = field(default_factory=dict)  # sections ``env`` and ``agent`` without interpolations
+    status: str = AGENT  # the status in the manifest, ``crashed``, or ``agent``
+    config: dict[str, Any] = field(default_factory=dict)  # the sections ``env`` and ``agent``, without interpolations
     overrides: list[str] | None = None  # the user's Hydra overrides; None if unknown
     choices: dict[str, Any] = field(default_factory=dict)  # Hydra's choices of config groups (``task``, …)
     config_dirs: tuple[Path, ...] = ()
@@ -79,7 +79,7 @@ class Subject:
         return [entry for entry in self.manifest.get("additions", []) if entry.get("kind") == kind]
 
     def file(self, name: str) -> Path | None:
-        """Return a file in the run directory by its name; None for a missing file or an outside link."""
+        """Return a file in the run directory by its name; None if the file is missing or a link to another folder."""
         path = self.path / name
         return path if path.resolve().is_relative_to(self.path.resolve()) and path.is_file() else None
 
@@ -95,7 +95,7 @@ class Subject:
 
 
 def open_subject(name: str | Path, root: Path) -> Subject:
-    """Open a training run by path, id, or ``latest``, or an agent's run by path."""
+    """Open a training run by its path, id, or ``latest``, or the run of a deployed agent by its path."""
     folder = Path(name)
     if (folder / _FIGURES).is_file() and (folder / _SETTINGS).is_file() and not (folder / MANIFEST_NAME).exists():
         subject = Subject(folder.resolve(), None)
@@ -126,7 +126,7 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
         raise RunDirectoryError(f"the run has no file {name}")
     content = read_yaml(path)
     if not isinstance(content, dict):
-        raise RunDirectoryError(f"{name} is not a mapping")
+        raise RunDirectoryError(f"the file {name} does not contain a mapping")
     return content
 
 

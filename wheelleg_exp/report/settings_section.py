@@ -36,7 +36,7 @@ class Setting:
 
 
 def settings_blocks(subject: Subject) -> list[Block]:
-    """Return tables of the run's overrides, of the changes to the task's defaults, and of the user's files' values."""
+    """Return tables of the run's overrides, its changes to the task's defaults, and values of the user's YAML files."""
     found: list[Block] = [Text("Nothing was changed on the command line.")]
     if subject.overrides is None:
         found = [Note("The overrides on the command line were not recorded.", "")]
@@ -72,7 +72,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     """Yield the run's parameters that differ from the task's defaults.
 
     ``default`` is the task's config without overrides. ``again`` is the task's config with the run's overrides,
-    composed on this machine. If ``again`` and the run agree, ``again`` shows the origin of a value.
+    composed on this machine. If a value is equal in ``again`` and in the run, ``again`` shows the origin of the value.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -112,7 +112,7 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 def _require_harmless(words: Sequence[str]) -> None:
     """Raise ConfigError if recorded arguments would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
-        raise ConfigError("the recorded command line could read other files, so it is not composed here")
+        raise ConfigError("the recorded command line is not composed here, because it could read other files")
 
 
 def _shown(value: Any) -> str:
@@ -120,7 +120,7 @@ def _shown(value: Any) -> str:
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
-    # The origin of a value is known only if this machine composes the value that the run has.
+    # The origin of a config value is known only if the config that this machine composes has the same value as the run.
     if again is None:
         return _THEN
     node: Any = again.config

@@ -84,8 +84,8 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 def sentence(groups: Sequence[Group]) -> str:
     """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the settings change the meaning of a return, the sentence compares the training's time-out shares, or else the
-    survival in the last plays.
+    If the settings change the meaning of a return, the headline compares the shares of time-outs in training, or else
+    the survival in the last plays.
     """
     text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
@@ -181,8 +181,9 @@ def course(
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return iterations, and the mean and sample standard deviation of several runs at these iterations.
 
-    ``series`` contains the iterations and values of each run. The standard deviation of a single run is 0. Iterations
-    that a run lacks are ignored, so that the mean does not jump where a run ends. Long trainings are thinned evenly.
+    ``series`` contains the iterations and values of each run. The standard deviation of a single run is 0. Only
+    iterations that all runs contain are used, so that the mean does not jump where a run ends. Long trainings are
+    thinned evenly.
     """
     runs = [{at: value for at, value in zip(*own, strict=True) if math.isfinite(value)} for own in series]
     runs = [run for run in runs if run]
@@ -224,8 +225,8 @@ COMPARISON = "comparison.html"
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
     """Return the subject of a page about several runs, and the runs; None if ``names`` contains only one run.
 
-    The subject is the sweep, or the current folder. ``names`` are runs and sweeps by path or id; ``latest`` is the
-    latest run.
+    The subject is the sweep, or the current folder for runs without a sweep. ``names`` are runs and sweeps by path or
+    id; ``latest`` is the latest run.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:
@@ -235,7 +236,9 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
         folders = [name] if index is None else [f for job in index.jobs if (f := index.run_of(job)) and f.is_dir()]
         for subject in [open_subject(folder, root if index is None else Path(folder).parent) for folder in folders]:
             if subject.status == AGENT:
-                raise RunDirectoryError(f"'{name}' is not a training", expected="runs of 'wheelleg train', or a sweep")
+                raise RunDirectoryError(
+                    f"'{name}' is not a training run", expected="runs of 'wheelleg train', or a sweep"
+                )
             runs[subject.path] = subject
     if not runs:
         raise RunDirectoryError(f"the sweep '{names[0]}' has no run yet", expected="a sweep that has started")

@@ -15,7 +15,7 @@ from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Tab
 from wheelleg_exp.report.report_subject import Subject
 from wheelleg_exp.report.value_format import brief, exact, number
 
-_POINTS = 800  # More points per curve are not visible.
+_POINTS = 800  # A curve is thinned to this many points, because more points are not visible.
 _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_episode_length"))
 
 
@@ -48,7 +48,7 @@ def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
 
 
 def picked(count: int) -> slice:
-    """Return a slice that thins a number of points evenly and keeps the last point."""
+    """Return a slice that selects evenly spaced points of a curve, including the last point."""
     every = max(1, -(-count // _POINTS))
     return slice((count - 1) % every, None, every)
 

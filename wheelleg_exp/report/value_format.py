@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LONGEST = 160  # Values with more characters are truncated.
+_LONGEST = 160  # Texts of values with more characters are truncated.
 
 
 def number(value: Any, digits: int = 3) -> str:
@@ -27,7 +27,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def numbers(value: Any) -> Any:
-    """Return a value of a JSON file; None replaces the text ``nan``, because JSON has no NaN."""
+    """Replace the text ``nan`` in a value of a JSON file by None; JSON has no NaN."""
     if isinstance(value, Mapping):
         return {key: numbers(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -117,5 +117,5 @@ def capital(text: str) -> str:
 
 
 def whole_units(text: str) -> str:
-    """Return a text that does not break between a number and its unit."""
+    """Replace the space between a number and its unit by a non-breaking space."""
     return re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", text)

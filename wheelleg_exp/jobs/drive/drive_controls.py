@@ -1,7 +1,8 @@
 """Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
 
-An axis is a component of a command that the task draws from a range. Keys, sliders, and scripts set command values from
-any thread. The simulation thread reads the values before each step.
+A command axis is one component of a command, such as the forward speed, that the task samples from a range. Keys,
+sliders, and drive scripts can set the command values from any thread. The simulation thread reads the command values
+before each control step.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from wheelleg_exp.sim.timers import forget
 
 @dataclass(frozen=True)
 class Axis:
-    """One component of a command term, with its range [low, high] in the component's unit."""
+    """One component of a command term, such as a speed, and its range [low, high] in the component's unit."""
 
-    name: str  # the name in drive scripts and sliders, after the term's name if several terms have the component
+    name: str  # the component's name, with the term's name as prefix if several terms have this component
     term: str
     component: str
     low: float
@@ -29,7 +30,7 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The config key of the axis's range."""
+        """The config key of the command range of this axis."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
@@ -44,12 +45,12 @@ class Axis:
         return self.rest + abs(share) * (end - self.rest)
 
     def bounded(self, value: float) -> float:
-        """Return ``value`` clamped to the range."""
+        """Return ``value`` clamped to the command range of the axis."""
         return min(max(value, self.low), self.high)
 
 
 def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
-    """Return the axes of all command terms that draw from ranges, in order, without axes whose range is empty."""
+    """Return the command axes of an environment, in order; components with an empty range are left out."""
     found = [
         (term, component, float(pair[0]), float(pair[1]))
         for term in env.command_manager.active_terms
@@ -61,10 +62,9 @@ def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
 
 
 class CommandHold:
-    """Fixes an environment's commands at given values, even after resets and resampling.
+    """Holds an environment's commands at given values, even when the environment resets or resamples the commands.
 
-    Each command range is reduced to a single value, so that every sample has this value and the command terms work
-    unchanged.
+    Each command range is reduced to a single value, so that every sample from the range has this value.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
@@ -72,7 +72,7 @@ class CommandHold:
         self._held: dict[str, float] = {}
 
     def __call__(self, values: Mapping[str, float]) -> None:
-        """Set the commands, by axis name, for the observation that the next control step returns."""
+        """Set the command of each axis, by axis name; the next observation contains the new commands."""
         changed = [axis for axis in self._axes if self._held.get(axis.name) != values[axis.name]]
         for axis in changed:
             term = self._env.command_manager.get_term(axis.term)
@@ -85,7 +85,7 @@ class CommandHold:
 
 @dataclass(frozen=True)
 class Push:
-    """Add a velocity to the base's velocity, in its yaw frame: ``x`` forwards and ``y`` to the left, m/s."""
+    """Request to add a velocity (``x`` forwards, ``y`` to the left, yaw frame, m/s) to the velocity of the base."""
 
     x: float
     y: float = 0.0
@@ -113,9 +113,9 @@ Request = Push | Reset | Choose | Finish
 
 
 class Controls:
-    """The driver's commands, and the driver's requests that wait for the next control step.
+    """The driver's current commands, and the driver's pending requests.
 
-    All methods are thread-safe. ``speed`` is simulated seconds per second of real time.
+    All methods are thread-safe. ``speed`` is the number of simulated seconds per second of real time.
     """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
@@ -133,7 +133,7 @@ class Controls:
             return dict(self._values)
 
     def set(self, name: str, value: float) -> None:
-        """Set a command, clamped to its range; ignore unknown axes and NaN."""
+        """Set the command of an axis, clamped to the axis's range; ignore an unknown axis name or a NaN."""
         if name in self.axes and value == value:
             with self._lock:
                 self._values[name] = self.axes[name].bounded(value)
@@ -149,12 +149,12 @@ class Controls:
             self._values = {name: axis.rest for name, axis in self.axes.items()}
 
     def request(self, request: Request) -> None:
-        """Add a driver's request, which is carried out before the next control step."""
+        """Queue a request of the driver; the simulation carries out the request before the next control step."""
         with self._lock:
             self._requests.append(request)
 
     def take(self) -> list[Request]:
-        """Return the driver's requests since the last call of this method, in order."""
+        """Return and remove the queued requests of the driver, oldest first."""
         with self._lock:
             taken, self._requests = self._requests, []
         return taken

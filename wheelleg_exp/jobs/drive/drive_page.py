@@ -1,6 +1,6 @@
 """Show a drive in the browser: the robot, sliders, keys and gamepads, and figures. viser and mjviser draw the page.
 
-The page and its websocket listen on the loopback address alone and refuse pages of other origins.
+The web server and its websocket listen only on the loopback address and refuse connections from other web pages.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError, with the purpose ``use`` of the port, unless the port is free; 0 means any free port."""
+    """Raise WheellegError unless a TCP port is free; ``use`` names the port's purpose, and 0 means any free port."""
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -39,12 +39,12 @@ def require_free(port: int, use: str) -> None:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise port_in_use(port, use) from error
-        why = "is kept for the system's services" if error.errno == errno.EACCES else f"cannot be had: {error.strerror}"
-        raise _port_error(f"port {port}, for {use}, {why}", _OTHER_PORT) from error
+        why = "it is reserved for system services" if error.errno == errno.EACCES else f"{error.strerror}"
+        raise _port_error(f"port {port} for {use} cannot be opened: {why}", _OTHER_PORT) from error
 
 
 def port_in_use(port: int, use: str) -> WheellegError:
-    """Return the error for a port that another process uses."""
+    """Return the error for a TCP port that another process already uses."""
     return _port_error(f"port {port}, for {use}, is in use", _OTHER_PORT)
 
 
@@ -64,7 +64,7 @@ KEYS_HELP = (
 
 
 def state_html(status: Status, controls: Controls, step_dt: float) -> str:
-    """Return time, commands, measured values, and height of a drive as HTML."""
+    """Return the time, the commands, the measured values, and the robot's height in a drive as HTML."""
     fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
     word = "paused" if controls.paused else f"{controls.speed:g}x"
     time = f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
@@ -103,7 +103,7 @@ def _bar(left: float, width: float, colour: str) -> str:
     )
 
 
-# Browsers name the positions of keys, which do not depend on the keyboard layout.
+# A key has the browser's name of its position, which does not depend on the keyboard layout.
 KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
     **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
@@ -115,19 +115,21 @@ KEYS: dict[str, tuple[str, float]] = {
     "KeyG": ("height", -1.0),
 }
 KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop", "KeyM": "slow"}
-# Standard gamepad layout: left stick forwards is axis 1 at -1, right stick to the right is axis 2 at 1.
+# In the standard gamepad layout, axis 1 is -1 if the left stick points forwards.
+# Axis 2 is 1 if the right stick points to the right.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
 _BUTTONS = {0: "push", 1: "reset", 2: "slow", 9: "pause"}
-_DEADZONE = 0.12  # An untouched stick has values below this limit.
-SLOW = 0.25  # simulated seconds per second of real time, in slow motion
+_DEADZONE = 0.12  # Stick values below this limit are ignored, because an untouched stick is not exactly at 0.
+SLOW = 0.25  # In slow motion, one second of real time shows this many simulated seconds.
 _MAX_MESSAGE = 1024  # bytes of a message
 
 
 class InputServer:
-    """Receives key and gamepad input of a web page on the loopback address.
+    """Receives key and gamepad input from web pages in a browser on this machine.
 
-    A web page that disconnects releases all its axes. ``origins`` are the accepted web origins, such as
-    ``http://127.0.0.1:8080``. ``push`` is the velocity change of a push that a key requests, m/s.
+    When a web page disconnects, the server releases all command axes that this page controls. ``origins`` are the
+    accepted web origins, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of the robot when the push
+    key is pressed, m/s.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
@@ -139,7 +141,7 @@ class InputServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self) -> str:
-        """Return the JavaScript of the page."""
+        """Return the JavaScript that sends key and gamepad input from the web page to this server."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
@@ -161,7 +163,7 @@ class InputServer:
         self._thread.join()
 
     def press(self, name: str) -> None:
-        """Carry out the action of a keyboard key, by the key's name; ignore unknown names."""
+        """Carry out the action of the keyboard key ``name``; ignore a key without an action."""
         controls = self.controls
         if name == "pause":
             controls.paused = not controls.paused
@@ -198,15 +200,16 @@ class InputServer:
             self.press(said["press"])
 
 
-_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # camera direction; multiple of the base height
+# The camera's direction, and the camera's distance as a multiple of the robot's base height.
+_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
 
 class DrivePage:
-    """A context manager that serves the drive page on the loopback address."""
+    """A context manager that serves the drive's web page to browsers on this machine."""
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
-        # Viser's server class, without tunnels to other machines, and mjviser's scene class.
+        # Return viser's server class, which here opens no tunnels to other machines, and mjviser's scene class.
         try:
             import viser
             from mjviser import ViserMujocoScene
@@ -235,7 +238,7 @@ class DrivePage:
         if self._port not in (0, self._server.get_port()):
             raise port_in_use(self._port, "the page")
         origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
-        # Close connections of other pages: any web page can try to reach the loopback address.
+        # Close connections from other web pages, because any page in the browser can try to connect to this server.
         own = self._server._websock_server
 
         async def check(client: Any) -> None:
@@ -264,7 +267,7 @@ class DrivePage:
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
         self._server.gui.reset()
-        model = copy.copy(session.env.scene.sim.model)  # mjviser's scene changes the colours of its MuJoCo model.
+        model = copy.copy(session.env.scene.sim.model)  # Copy the model, because mjviser changes its colours.
         self._scene = self._scene_class(self._server, model, num_envs=1)
         away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
         self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
@@ -292,7 +295,7 @@ class DrivePage:
             finish = gui.add_button("Finish", hint="end the drive and write its figures")
             finish.on_click(lambda _: controls.request(Finish()))
         gui.add_html(KEYS_HELP)
-        # Run JavaScript in every open or future page, as viser does for its plots.
+        # Run the JavaScript in every web page that is open or opened later, as viser does for its plots.
         source = self._hands.javascript()
         from viser._messages import RunJavascriptMessage
 
@@ -300,7 +303,7 @@ class DrivePage:
         return self.url
 
     def show(self, status: Status) -> None:
-        """Show the state of the drive."""
+        """Show the current state of the drive on the web page."""
         env = self._session.env
         self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
         mujoco.mj_kinematics(self._scene.mj_model, self._data)
@@ -309,7 +312,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # Keys or a drive script changed the command.
+                if self._mirrored.get(name) != value:  # A key or the drive script changed this command.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
@@ -327,7 +330,7 @@ class DrivePage:
 
         @slider.on_update
         def _(event: Any) -> None:
-            if event.client is not None:  # A user moved the slider; ``show`` did not.
+            if event.client is not None:  # A user, not the method ``show``, moved the slider.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 
@@ -354,6 +357,6 @@ class DrivePage:
 
 @contextmanager
 def _without_output() -> Iterator[None]:
-    """Hide viser's console output, because the command's reports go to standard output."""
+    """Suppress the console output of the package viser, which would mix with the output of the wheelleg command."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

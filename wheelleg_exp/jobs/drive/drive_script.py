@@ -1,7 +1,8 @@
-"""Read a drive script, and write a finished drive as a script that repeats it.
+"""Read a drive script, and write a finished drive as a drive script that repeats this drive.
 
-A script is a YAML list of commands. Each entry starts at ``at`` (default: the end of the previous entry) and lasts for
-``for`` (default: 0), both in simulated seconds. A command axis has its value until another script entry names the axis.
+A drive script is a YAML list of entries with commands and requests. Each entry starts at ``at`` (default: the end of
+the previous entry) and lasts for ``for`` (default: 0), both in simulated seconds. A command keeps its value until a
+later entry of the script changes this command.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ _ACTIONS = ("push", "reset", "stop")
 
 @dataclass(frozen=True)
 class Entry:
-    """The commands and requests of a drive script at one moment; ``at`` is the simulated time, s."""
+    """The commands and requests of a drive script at the simulated time ``at``, s."""
 
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False  # whether every axis without a value gets its rest value
+    stops: bool = False  # whether every axis that ``values`` does not name gets its rest value
 
 
 @dataclass(frozen=True)
@@ -48,14 +49,14 @@ class ScriptPlayer:
 
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
-        # An entry applies from the first control step at or after its time. Without rounding, float errors could add a
-        # step.
+        # An entry applies from the first control step at or after its time.
+        # The time is rounded, so that a floating-point error does not delay the entry by one control step.
         self._steps = [math.ceil(round(entry.at / step_dt, 6)) for entry in script.entries]
         self.last_step = math.ceil(round(script.duration_s / step_dt, 6))
         self._next = 0
 
     def before(self, step: int) -> None:
-        """Apply the commands and requests that are due before a control step; the first step is 0."""
+        """Apply the script's commands and requests that are due before a control step; the first step has number 0."""
         due = bisect_left(self._steps, step + 1)
         for entry in self._script.entries[self._next : due]:
             if entry.stops:
@@ -68,7 +69,7 @@ class ScriptPlayer:
 
 
 def read_script(path: Path, axes: Sequence[Axis]) -> Script:
-    """Read a drive script. An unknown key or a value out of range raises ConfigError with its line."""
+    """Read a drive script. An unknown key or an out-of-range value raises ConfigError with its line number."""
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
@@ -106,7 +107,7 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Return a script entry and its end time; ``before`` and ``end`` are the times of the previous entry."""
+    """Return a script entry and its end time, s; the previous entry starts at ``before`` and ends at ``end``."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
@@ -127,7 +128,7 @@ def _entry(
 def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:
     value = item.get(key, default)
     if not _is_number(value) or value < 0.0:
-        raise ConfigError(f"{value!r} is not a time", key=key, where=place.of(key), expected="seconds, at least 0")
+        raise ConfigError(f"{value!r} is not a time in seconds", key=key, where=place.of(key), expected="at least 0")
     return float(value)
 
 
@@ -149,14 +150,14 @@ def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
         parts = push if isinstance(push, list) and len(push) == 2 else [push]
         if not all(map(_is_number, parts)):
             expected = "m/s forwards, or [forwards, to the left]"
-            raise ConfigError(f"{push!r} is not a push", key="push", where=place.of("push"), expected=expected)
+            raise ConfigError(f"{push!r} is not a push in m/s", key="push", where=place.of("push"), expected=expected)
         yield Push(*map(float, parts))
 
 
 def _flag(item: Mapping[Any, Any], key: str, place: _Place) -> bool:
     value = item.get(key, False)
     if not isinstance(value, bool):
-        raise ConfigError(f"{value!r} is not true or false", key=key, where=place.of(key), expected="true")
+        raise ConfigError(f"{value!r} is neither true nor false", key=key, where=place.of(key), expected="true")
     return value
 
 
@@ -170,7 +171,7 @@ def _example(axes: Sequence[Axis]) -> str:
 
 
 class DriveLog:
-    """Records the changed commands and the requests of a drive, by control step."""
+    """Records each changed command and each request of a drive with its control step."""
 
     def __init__(self, step_dt: float) -> None:
         self._step_dt = step_dt
@@ -178,7 +179,7 @@ class DriveLog:
         self._values: dict[str, float] = {}
 
     def commanded(self, step: int, values: Mapping[str, float]) -> None:
-        """Record the commands of a control step."""
+        """Record the commands of a control step in the log of the drive."""
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
             self._entries.append((step, changed))

@@ -1,4 +1,4 @@
-"""Step one robot under one policy, apply commands and requests between steps, and measure the drive."""
+"""Simulate one robot under a policy, apply the driver's commands and requests, and measure the drive."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-# These functions measure a command axis from the robot's data, whose first row belongs to the driven robot.
+# Each function computes the measured value of a command axis from the data of the driven robot.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
     "lin_vel_x": lambda data: data.root_lin_vel_b[:, 0],
     "lin_vel_y": lambda data: data.root_lin_vel_b[:, 1],
@@ -29,10 +29,10 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 
 
 class DriveMeter:
-    """Computes the metrics of a drive, step by step; see ``definitions.drive``.
+    """Computes the metrics of a drive step by step; ``definitions.drive`` defines the metrics.
 
-    ``height_m`` is the height of the root link's origin above the ground below it, in the last step. ``measured`` holds
-    the measured value of each axis that can be measured: m/s, rad/s, m and rad.
+    ``height_m`` is the height of the root link's origin above the ground in the last control step, m. ``measured``
+    holds the measured value of each axis that can be measured: m/s, rad/s, m and rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
@@ -47,11 +47,11 @@ class DriveMeter:
 
     @property
     def falls(self) -> int:
-        """The number of episodes that a termination ended."""
+        """The number of episodes that ended by a termination term."""
         return sum(self._ended.values())
 
     def observe(self, commanded: Mapping[str, float]) -> None:
-        """Measure a control step during which the given commands applied."""
+        """Measure the control step that has just ended; ``commanded`` are the commands in this step."""
         place = self._env.scene.robot.data.root_pos_w[0, :2].clone()
         if self._place is not None:
             self._distance += float(torch.linalg.vector_norm(place - self._place))
@@ -64,7 +64,7 @@ class DriveMeter:
             self._squares[name] += (value - commanded[name]) ** 2
 
     def ended(self, by: str) -> None:
-        """Count an ended episode, by the termination term that ended the episode."""
+        """Count an ended episode under the name ``by`` of its termination term."""
         self._ended[by] += 1
 
     def asked(self, request: Reset | Push) -> None:
@@ -76,7 +76,7 @@ class DriveMeter:
         self._place = None
 
     def figures(self) -> dict[str, Any]:
-        """Return the metrics of the drive as plain values."""
+        """Return the metrics of the drive as values that JSON can store."""
         count = max(self._steps, 1)
         return {
             "duration_s": self._steps * self._env.step_dt,
@@ -105,27 +105,29 @@ class DriveMeter:
 
 @dataclass(frozen=True)
 class Status:
-    """The state of a drive, as Python numbers."""
+    """The state of a drive at one moment, as Python numbers."""
 
-    time_s: float  # since the start of the drive
+    time_s: float  # the simulated time since the start of the drive, s
     commands: dict[str, float]
     measured: dict[str, float]
     height_m: float
-    rewards: dict[str, float] = field(default_factory=dict)  # weighted, per second, by reward term
+    rewards: dict[str, float] = field(default_factory=dict)  # the weighted reward per second of each reward term
     falls: int = 0
-    fallen: str | None = None  # how the episode ended; None while it runs
+    fallen: str | None = None  # how the episode ended; None while the episode runs
 
 
 class DriveSession:
     """A drive of one robot. Nothing is reset automatically: an episode that has ended waits for a reset.
 
-    ``driven`` is the log of commands and requests. ``fallen`` describes how the episode ended; None while the episode
-    runs.
+    ``driven`` is the log of the drive's commands and requests. ``fallen`` describes how the episode ended; None while
+    the episode runs.
     """
 
     def __init__(self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor]) -> None:
         if adapter.num_envs != 1:
-            raise ConfigError(f"{adapter.num_envs} robots cannot be driven", key="env.num_envs", expected="1")
+            raise ConfigError(
+                f"a drive needs one robot, not {adapter.num_envs} robots", key="env.num_envs", expected="1"
+            )
         self._adapter, self._policy = adapter, policy
         self.env: ManagerBasedRLEnv = adapter.env
         self.env.autoreset = "disabled"
@@ -141,11 +143,11 @@ class DriveSession:
 
     @property
     def time_s(self) -> float:
-        """Simulated time since the start of the drive, s."""
+        """The simulated time since the start of the drive, s."""
         return self.steps * self.env.step_dt
 
     def step(self) -> None:
-        """Simulate one control step under the current commands."""
+        """Simulate one control step with the driver's current commands."""
         values = self.controls.values
         self.driven.commanded(self.steps, values)
         self._hold(values)
@@ -160,7 +162,7 @@ class DriveSession:
             self.meter.ended(self.fallen)
 
     def obey(self, request: Reset | Push) -> None:
-        """Carry out a driver's request; after a fall, ignore every request except a reset."""
+        """Carry out a request of the driver; after a fall, ignore every request except ``Reset``."""
         if self.fallen is not None:
             if isinstance(request, Reset):
                 self.reset()
@@ -173,7 +175,7 @@ class DriveSession:
             self.reset()
 
     def reset(self) -> None:
-        """Start a new episode under the current commands."""
+        """Start a new episode with the driver's current commands."""
         self._hold(self.controls.values)
         self.env.reset()
         self.meter.began()

@@ -1,7 +1,7 @@
 """Drive a trained robot: in real time in the browser, or from a script as fast as it computes.
 
-The environment has one robot, on the training's ground or another ground. Events happen only at the driver's request.
-Each drive is recorded, and saved in the run directory.
+A drive has one robot, on the ground of the training or on another ground. Pushes and other events during an episode
+happen only at the driver's request. Each drive is recorded, and saved in the run directory.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from wheelleg_exp.user_exceptions import ending_as
 
 OWN_GROUND = "own"  # the run's own ground
 _GROUP = "scene"
-_DISTURBANCES = ("interval", "step")  # Events of these modes act during an episode.
+_DISTURBANCES = ("interval", "step")  # Events with these modes, such as pushes, happen during an episode.
 
 
 def scenes() -> list[str]:
@@ -42,11 +42,11 @@ def scenes() -> list[str]:
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
-    """Return the config tree of ``play`` with the changes for driving.
+    """Return the config of ``wheelleg play``, changed for a drive.
 
-    The tree has one robot, episodes of ``drive.episode_length_s``, only events at startup and reset, no curriculum, and
-    commands without heading control or standing robots. ``scene`` replaces the training's ground; ``own`` means the
-    training's ground.
+    The changed config has one robot, episodes of ``drive.episode_length_s``, and no curriculum. In a drive, events
+    happen only at startup and reset. The command terms use no heading control and no standing robots. ``scene`` names
+    the scene config whose ground replaces the training's ground; ``own`` means the training's ground.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -59,7 +59,8 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        # A scene config with another scene's ground. Sensors that both scenes have come from the other scene.
+        # Replace the ground of the run's scene by the ground of another scene.
+        # A sensor that both scenes have gets the settings of the other scene.
         own = env["scene"]
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
@@ -68,11 +69,11 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     return tree
 
 
-_MAX_DELAY_S = 0.1  # The pacer does not catch up longer delays, so that a slow machine shows slow motion.
+_MAX_DELAY_S = 0.1  # The pacer does not make up for longer delays, so a slow machine shows the drive in slow motion.
 
 
 class RealTimePacer:
-    """Waits between control steps, so that simulated time equals real time."""
+    """Waits between control steps, so that the simulation runs in real time."""
 
     def __init__(
         self,
@@ -86,14 +87,14 @@ class RealTimePacer:
         self._due = self._next_frame = clock()
 
     def wait(self, speed: float) -> None:
-        """Wait until the next control step is due."""
+        """Wait until the real time at which the next control step is due."""
         self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
         left = self._due - self._clock()
         if left > 0.0:
             self._sleep(left)
 
     def is_frame_due(self) -> bool:
-        """Return whether a picture is due; if so, schedule the next picture."""
+        """Return whether the view must show a new picture now; if so, schedule the next picture."""
         now = self._clock()
         if now < self._next_frame:
             return False
@@ -104,10 +105,10 @@ class RealTimePacer:
 
 
 class DriveView(Protocol):
-    """Shows a drive, and receives the driver's requests."""
+    """A view that shows a drive to the driver and receives the driver's requests."""
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a new drive of a checkpoint on a ground, with pushes in m/s; return the address of the view."""
+        """Show a new drive of the chosen checkpoint and ground; return the view's address; ``push`` is in m/s."""
 
     def show(self, status: Status) -> None:
         """Show the state of the drive."""
@@ -115,7 +116,7 @@ class DriveView(Protocol):
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of a drive; ``definitions.drive`` explains the figures."""
+    """The result of a drive; ``definitions.drive`` explains the metrics in ``figures``."""
 
     checkpoint: Path
     folder: Path
@@ -125,7 +126,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """The policy and the ground to drive; defaults are the run's last checkpoint and the training's ground."""
+    """The policy and the ground of a drive, by default the run's last checkpoint and the training's ground."""
 
     run: RunDirectory
     checkpoint: Path | None = None
@@ -138,8 +139,8 @@ class DriveRequest:
 def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
     """Drive until the driver finishes. Each change of the checkpoint or the ground starts a new drive.
 
-    Without a view, a drive script is required and runs faster than real time. With a view, the drive script runs first,
-    in real time, and the driver continues.
+    Without a view, a drive script is required, and the simulation runs faster than real time. With a view, the drive
+    script runs first, in real time, and then the driver takes over.
     """
     drives: list[Drive] = []
     choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
@@ -155,9 +156,9 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 def _drive_one(
     request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
-    """Return the finished drive, and the driver's choice of the next checkpoint and ground, or None."""
+    """Simulate one drive; return its result, and the driver's next choice of checkpoint and ground, or None."""
     scene = pick.scene or OWN_GROUND
-    # Raise ConfigError for an unknown ground.
+    # Raise ConfigError if the scene name is unknown.
     known = scenes()
     if scene not in known:
         message = f"unknown ground '{scene}'"
@@ -193,7 +194,7 @@ def _drive_one(
 
 
 class _Driver:
-    """Simulates until the script ends, or the driver finishes or chooses another checkpoint or ground."""
+    """Simulates a drive until its script ends, the driver stops, or the driver chooses another checkpoint or ground."""
 
     def __init__(
         self,
@@ -215,7 +216,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Return the driver's choice of a checkpoint and a ground, or None at the end of the drive."""
+        """Run the drive; return the driver's next choice of checkpoint and ground, or None if the driver stopped."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):

@@ -1,6 +1,6 @@
 """Record episodes in the training's simulation, and compare every policy file of a bundle with the recorded steps.
 
-Each compared step starts from recorded values. A policy that is fed its own actions amplifies rounding errors.
+Each compared step is computed from recorded inputs, because a closed loop would amplify rounding errors.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ def recorded_episodes(
     clip_actions: float | None,
     steps: int,
 ) -> dict[str, np.ndarray]:
-    """Record observations and actions of a policy in the first environment, float32, one row per control step.
+    """Record a policy's observations and actions in the first environment, float32, with one row per control step.
 
-    ``policy`` gives the applied mean action, and ``trained`` computes it in float32, as in training. The result:
-    ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width); ``observations`` (T, O);
-    ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions, velocities, efforts of all
-    joints.
+    ``policy`` returns the mean action that is applied. ``trained`` computes the mean action in float32, as in training.
+    The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width); ``observations`` (T,
+    O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions, velocities, efforts of
+    all joints.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray]] = {}
@@ -62,13 +62,13 @@ def recorded_episodes(
         _, _, dones, _ = adapter.step(actions)
         begins = bool(dones[0])
         if begins:
-            env.reset()  # A deployed runner has empty observation histories before its first reading.
+            env.reset()  # Clear the observation histories, as in a deployed runner before its first step.
     return {name: np.stack(values) for name, values in rows.items()}
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return the joint targets (N, 3, J) that actions set in the first physics step, without a change of the state."""
-    # Target positions are clipped to the joint limits, as the bundle's runner does. Training does not clip them.
+    """Return the joint targets (N, 3, J) of the first physics step after ``actions``, and restore the state."""
+    # Clip the target positions to the joint limits, as the bundle's runner does. The training does not clip targets.
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
     manager.process_action(actions)
@@ -80,7 +80,7 @@ def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
     return found
 
 
-# The tolerances are relative to max(1, |recorded|). Float32 sums depend on their order, float64 sums do not.
+# The tolerances are relative to max(1, |recorded value|). Sums in float32 need the larger tolerance.
 TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
 _FLOAT64 = ("observations", "actions", "targets", "c_double")
 _COMPILERS = ("cc", "gcc", "clang")
@@ -114,7 +114,7 @@ int main(void) {
 
 
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
-    """Return the largest differences of the policies from ``check.npz``, and the reason if the header was not compared.
+    """Return the largest difference of each policy file from ``check.npz``, and a note if the header was not compared.
 
     ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``. A
     difference above its tolerance raises SimulationFailure.
@@ -159,5 +159,5 @@ def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[di
 
 
 def _rows(recorded: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Return arrays (T, ...) concatenated to one float32 array (T, sum of widths)."""
+    """Concatenate the recorded arrays (T, ...) to one float32 array (T, sum of the widths)."""
     return np.concatenate([recorded[name].reshape(len(recorded["reset"]), -1) for name in names], 1, dtype=np.float32)

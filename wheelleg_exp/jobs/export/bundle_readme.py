@@ -32,7 +32,7 @@ changes nothing, and the caller must decide what the drives do."""
 
 
 def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) -> str:
-    """Return the README of a bundle, from ``policy.json``, the names of the bundle's files, and notes."""
+    """Return the README text of a bundle; ``spec`` is the content of ``policy.json``."""
     about, joints = spec["run"], spec["joint_names"]
     parts = [
         f"# The policy `{about['task']}` of run `{about['id']}`, iteration {about['iteration']}",
@@ -175,7 +175,7 @@ def _law(term: Mapping[str, Any], index: int) -> str:
 
 
 def _trained_with(spec: Mapping[str, Any]) -> list[str]:
-    """Return the observation noise and the delays of the training, which the bundle's runner does not add."""
+    """Return lines about observation noise and delays of the training, which the bundle's runner does not add."""
     terms = [(f"observation `{term['name']}`", term) for group in spec["observations"] for term in group["terms"]]
     terms += [(f"action `{term['name']}`", term) for term in spec["actions"]]
     terms += [(f"drive `{drive['name']}`", drive) for drive in spec["actuators"]]

@@ -1,7 +1,7 @@
 """Describe a policy in ``policy.json``: everything between sensor readings and joint targets, as numbers.
 
-The action terms, the drives of each joint, and the network become plain numbers that a runner works with. A term
-or network that a runner cannot compute raises a ``ConfigError`` with its name.
+``policy.json`` describes the action terms, the drive of each joint, and the network. A term or network that a runner
+cannot compute raises a ``ConfigError`` with the name of the term or network.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 
 
 def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
-    """Return the actuator groups of the robot in order.
+    """Return a description of each actuator group of the robot, in order.
 
     ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (spring and
     damper, computed from the state before each physics step), ``dc_motor`` (with a motor's torque-speed line), or null:
@@ -51,16 +51,16 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
-    """Return the law by which an actuator group turns targets into torques, or None for a law that no runner knows."""
+    """Return the control law of an actuator group, from targets to torques; None for a law that no runner supports."""
     return _DRIVE_LAWS.get(type(group))
 
 
 def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
-    """Return gains, limits, and properties of every joint, in the robot's joint order.
+    """Return the drive gains, limits, and mechanical properties of every joint, in the robot's joint order.
 
-    Joints without a drive have gains of 0. ``inertia`` is the inertia of the parts about the joint's axis, without
-    ``armature``. ``drive_rate`` (Hz) is the rate at which a drive must compute its torque: each physics step, and ten
-    times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
+    Joints without a drive have gains of 0. ``inertia`` is the inertia of the moved bodies about the joint's axis,
+    without ``armature``. ``drive_rate`` (Hz) is the rate at which a drive must compute its torque: each physics step,
+    and ten times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
     """
     robot = env.scene.robot
     count = len(robot.joint_names)
@@ -77,7 +77,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # inertia while all joints are free
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # the inertia at each joint while all joints are free
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
     found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
@@ -112,7 +112,7 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
 
 
 def _clip(term: Any) -> list[list[float | None]] | None:
-    """Return the clip bounds of each joint; null means no bound."""
+    """Return the lower and upper clip bound of each joint's target; null means no bound."""
     if term._low is None:
         return None
     return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
@@ -202,7 +202,7 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
     """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
-    # In float64, two libraries give the same action after rounding to float32. In float32, they differ by about 1e-6.
+    # In float64, two libraries compute actions that are equal after rounding to float32. In float32, actions differ.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:
@@ -221,11 +221,11 @@ FORMAT_VERSION = 1
 def specification(
     env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return the whole ``policy.json`` of an environment and its agent, except the network.
+    """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
-    Lists by joint are in the order of ``joint_names``; null means no limit. Keys have Isaac Lab's names where Isaac Lab
-    has such a name. The environment must have one robot and no events, so that its numbers equal the numbers of the
-    config. ``ranges`` contains the [low, high] of each command component at the end of training.
+    Lists with one value per joint have the order of ``joint_names``; null means no limit. Keys for quantities of Isaac
+    Lab have the names that Isaac Lab uses. The environment must have one robot and no events, because events can change
+    the parameters of the robot. ``ranges`` contains the [low, high] of each command component at the end of training.
     """
     robot, layout = env.scene.robot, env.scene.robot.layout
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
@@ -276,7 +276,7 @@ def specification(
 def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, Any]]) -> list[int]:
     """Return the joints whose positions count from the reset: without limits, and not driven to an absolute position.
 
-    An encoder does not know how often a wheel has turned; in training each episode starts at the default position.
+    An encoder does not measure how often a wheel has turned. In training, each episode starts at the default position.
     """
     driven = {i: term["function"] for term in actions if term["drives"] == "position" for i in term["joint_ids"]}
     free = [i for i, pair in enumerate(limits) if pair == [None, None]]
@@ -284,7 +284,7 @@ def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, An
 
 
 def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
-    """Return the acceleration limits of each command that has such limits, m/s² and rad/s²."""
+    """Return the acceleration limits of the commands, m/s² and rad/s²; commands without limits are left out."""
     found = {}
     for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
         most = getattr(env.command_manager.get_term(name), "max_acceleration", None)

@@ -1,7 +1,8 @@
 """Write ``policy.h``: the policy as one C99 header, from sensor readings to joint targets.
 
 The header is generated from ``policy.json`` and the network's arrays: fixed numbers become constants, and memory
-becomes a struct. In the generated lines, ``r`` are the readings, ``s`` is the state, and ``v`` is a sample.
+becomes a struct. In the generated C lines, ``r`` contains the sensor readings, ``s`` the policy's state, and ``v`` the
+sample of a term.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield the C struct members of an observation term's memory."""
+    """Yield the C struct members that store an observation term's history and modifier states."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"
@@ -30,7 +31,7 @@ def term_memory(name: str, term: Spec) -> Iterator[str]:
 
 
 def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
-    """Yield the C lines that sample an observation term into its history."""
+    """Yield the C lines that compute an observation term and append the value to the term's history."""
     yield f"/* {in_comment(term['name'])} */"
     yield from _value(name, term, float(spec["step_dt"]))
     width = term["width"]
@@ -45,10 +46,10 @@ def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
 
 
 def action_lines(name: str, term: Spec) -> Iterator[str]:
-    """Yield the C lines that compute ``s->processed_<name>`` from an action term's part of the action."""
+    """Yield the C lines that compute the processed action ``s->processed_<name>`` of an action term."""
     for i, joint in enumerate(term["joint_ids"]):
         out = f"s->processed_{name}[{i}]"
-        if "alpha" in term:  # The moving average of the action starts at the joint positions.
+        if "alpha" in term:  # The moving average of the action starts at the current joint positions.
             yield "{"
             yield f"    float last = first ? joint_pos[{joint}] - s->zero[{joint}] : {out};"
         yield from (f"    {line}" if "alpha" in term else line for line in _processed(out, term, i))
@@ -129,7 +130,7 @@ def _read(term: Spec) -> Iterator[str]:
 
 
 def _modified(name: str, modifier: Spec) -> str:
-    """Return the C line that applies a modifier to ``v[i]``."""
+    """Return the C line that applies an observation modifier to the value ``v[i]``."""
     kind = modifier["kind"]
     if kind == "scale":
         return f"v[i] *= {number(modifier['multiplier'])};"
@@ -172,7 +173,7 @@ _ACTIVATIONS = {
 
 
 def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """Return ``policy.h``, from ``policy.json`` and the network's arrays."""
+    """Return the text of ``policy.h``; ``spec`` is ``policy.json``, and ``arrays`` are the network's weights."""
     groups = enumerate(spec["observations"])
     terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
@@ -231,7 +232,7 @@ def _constants(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Ite
 
 
 def _literal(word: str, kind: str) -> str:
-    """Return a C literal; a number without a decimal point gets one, because ``1f`` is invalid C."""
+    """Return a C literal of a number; add a missing decimal point, because ``1f`` is invalid C."""
     point = "" if any(mark in word for mark in ".en") else ".0"
     return word + point + ("f" if kind == "float" else "")
 

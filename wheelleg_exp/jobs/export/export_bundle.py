@@ -1,8 +1,8 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
-The bundle is written atomically, and its policies are compared with the simulation that trained the policy. The
-exported environment has no noise, delays, or events, because the real robot has real noise, delays, and disturbances.
-``policy.onnx`` carries ``policy.json`` and mjlab's metadata.
+The bundle is written atomically after its policy files were compared with the training's simulation. The exported
+environment has no noise, delays, or events, because the real robot has real noise, delays, and disturbances. The
+metadata of ``policy.onnx`` contain ``policy.json`` and the keys of mjlab's exports.
 """
 
 from __future__ import annotations
@@ -63,18 +63,17 @@ _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
 def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``env`` section of one environment, without events and curricula, which change exported numbers."""
+    """Return the ``env`` config with one environment, and without events and curricula, which change parameters."""
     found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
     found["sim"]["nthread"] = 1
     return found
 
 
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
-    """Return the ``env`` section for episodes that the bundle's runner can reproduce from sensor readings.
+    """Return the ``env`` config for episodes that the bundle's runner can reproduce from sensor readings.
 
-    The ``env`` section has no noise and delays, because a real robot has real noise and delays. The ``env`` section
-    also has no encoder errors, pushes, and randomization of the robot. Rolling joints are reset to their default
-    positions, because a runner counts their positions from the reset.
+    This config has no noise, delays, encoder errors, pushes, and randomization of the robot. Rolling joints, such as
+    wheels, are reset to their default positions, because a runner counts their positions from the reset.
     """
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
@@ -93,10 +92,10 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
 
 
 def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
-    """Return an ONNX model that carries a bundle's specification.
+    """Return an ONNX model with the content of ``policy.json`` as metadata.
 
-    Lists are joined by commas, as in mjlab's exports. ``action_scale`` and ``action_offset``, in the order of
-    ``action_joint_names``, exist if every action term has a scale and an offset.
+    Lists in the metadata are joined by commas, as in mjlab's exports. ``action_scale`` and ``action_offset``, in the
+    order of ``action_joint_names``, exist if every action term has a scale and an offset.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
@@ -138,16 +137,16 @@ class Exported:
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]  # largest differences from the training's simulation, by policy file
-    notes: Sequence[str]  # missing parts of the bundle, with reasons
+    differences: Mapping[str, float]  # for each policy file, the largest difference from the training's simulation
+    notes: Sequence[str]  # sentences about missing parts of the bundle, with reasons
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
-    """Write a run's policy as a bundle, by default in ``exported/bundle`` of the run.
+    """Write a run's policy as a bundle, by default into the folder ``exported/bundle`` of the run directory.
 
-    If this folder exists, a number is appended to the name of the new folder. Without ``checkpoint``, export the last
-    checkpoint. ConfigError names a part of the policy that needs the simulation. If an exported policy differs from the
-    simulation's records, raise SimulationFailure and write nothing.
+    If the default folder exists, the new folder's name gets a number. If ``checkpoint`` is None, the run's last
+    checkpoint is exported. ConfigError means that a part of the policy needs the simulation. If an exported policy
+    differs from the simulation's records, raise SimulationFailure and write nothing.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
@@ -156,7 +155,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     with for_people(target), temporary_folder(target) as work:
         differences, notes = _fill(work, run, checkpoint)
         sync_folder(work)
-        # Rename a finished folder. If the target exists, append a number to its name, or raise an error.
+        # Rename the finished folder to its final name. If this name exists, append a number or raise an error.
         number, place = 1, target
         while place.exists() or place.is_symlink():
             if output is not None:
@@ -172,14 +171,14 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
             run.manifest().add("export", files, results, command=command)
-        except BaseException:  # The run directory must not contain a bundle that is missing in the manifest.
+        except BaseException:  # Remove the bundle, which the manifest does not list.
             shutil.rmtree(folder, ignore_errors=True)
             raise
     return Exported(run, checkpoint, folder, differences, notes)
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Write the bundle's files; return the differences of its policies and the notes about missing parts."""
+    """Write the bundle's files; return the differences from the recorded steps, and notes about missing files."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)
@@ -224,7 +223,7 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
 
 
 def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ranges of each command at the end of training, because a curriculum can widen them."""
+    """Return the range of each command at the end of training, which a curriculum may have widened."""
     found = {}
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
@@ -260,7 +259,7 @@ def _write_robot(
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain
     friction = (ground.static_friction, ground.dynamic_friction, ground.restitution)
-    # The ``env`` section of a scene with only the robot on level ground.
+    # Build the ``env`` config of a scene that contains only the robot and level ground.
     found = as_configured(params)
     names = ("static_friction", "dynamic_friction", "restitution")
     plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}

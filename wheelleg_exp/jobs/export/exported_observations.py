@@ -1,4 +1,4 @@
-"""Describe observation terms and sensor readings as numbers for a runner; unknown terms raise ConfigError."""
+"""Describe observation terms and sensor readings for a bundle's runner; an unsupported term raises ConfigError."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ READINGS = {
     "joint_effort": Reading("N·m", "torques of the drives, in the order of joint_names", obs.joint_effort_commanded),
 }
 
-# Quantities of an IMU (``<sensor>.<quantity>``): unit, meaning, and attribute of the sensor's data.
+# For each quantity of an IMU, the unit, the meaning, and the attribute of the sensor's data.
 QUANTITIES = {
     "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
     "lin_acc": ("m/s^2", "acceleration in its own axes; at rest it reads gravity upwards", "lin_acc_b"),
@@ -55,7 +55,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return a reading of the robot, a command (``commands.<term>``), or an IMU (``<sensor>.<quantity>``), by name."""
+    """Return a reading by its name, such as ``base_quat``, ``commands.<term>``, or ``<imu>.<quantity>``."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):
@@ -70,11 +70,11 @@ def reading(name: str) -> Reading:
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the default ``sensor_name`` of observation terms
+_IMU = "imu"  # the sensor name that observation terms use by default
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
-    """Return the observation groups of a policy, in order, each with its terms."""
+    """Return a description of a policy's observation groups and of their terms, in order."""
     found: list[Spec] = []
     for group in groups:
         node = env.cfg["observations"][group]
@@ -85,7 +85,7 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
 
 
 def readings_of(groups: list[Spec]) -> list[str]:
-    """Return the names of the readings that the observation terms need, and always the joint positions."""
+    """Return the names of the sensor readings that observation terms need; joint positions are always included."""
     names: list[str] = []
     for term in (term for group in groups for term in group["terms"]):
         names += [term["reading"]] if "reading" in term else term.get("needs", [])

@@ -1,4 +1,4 @@
-"""Resume a pipeline that was stopped, was killed, or did not pass a gate."""
+"""Resume a pipeline that was stopped or killed, or whose policy did not pass an evaluation between two phases."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def resume_pipeline(
 ) -> PipelineSettings:
     """Check that a pipeline can resume, and return its settings.
 
-    ``overrides`` change phases, such as ``pipeline.phases.walk.max_iterations=600``. Empty ``config_dirs`` mean the
-    recorded config folders. If the pipeline is running or finished, or an override is wrong, the pipeline's record does
-    not change.
+    ``overrides`` change phases, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs`` is empty, the
+    recorded config folders are used. If the pipeline is running or finished, or an override is wrong, the pipeline's
+    record does not change.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
         message = "this pipeline is still running"
@@ -55,7 +55,7 @@ def resume_pipeline(
         if asked.gate is not None:
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
-        message = "the phases of a pipeline cannot change"
+        message = "a resume can change only settings of phases"
         raise ConfigError(message, key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"])))
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
@@ -74,12 +74,14 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
         expected = "--config-dir with the place where that folder is now, if it is yours"
-        raise ConfigError(f"the pipeline needs {folder}, which {why}", key=str(index.path), expected=expected)
+        raise ConfigError(
+            f"the pipeline needs the folder {folder}, which {why}", key=str(index.path), expected=expected
+        )
     return folders
 
 
 def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
-    """Check changed gates against the metrics of their protocols."""
+    """Check that the protocol of each changed gate measures every metric that the gate bounds."""
     if phases:
         from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
 
@@ -91,9 +93,13 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     name = change.keys[2] if len(change.keys) > 2 and change.keys[1] == "phases" else None
     phase = next((phase for phase in index.phases if phase["name"] == name), None)
     if phase is None:
-        raise ConfigError("the phases of a pipeline cannot change", key=change.key, expected="settings of its phases")
+        raise ConfigError(
+            "a resume can change only settings of phases", key=change.key, expected="settings of its phases"
+        )
     if phase["status"] == "passed":
-        raise ConfigError(f"phase '{name}' has passed already", key=change.key, expected="settings of a later phase")
+        raise ConfigError(
+            f"phase '{name}' has already passed its gate", key=change.key, expected="settings of a later phase"
+        )
     if phase["run"] is not None and change.keys[3] not in _CHANGEABLE_LATER:
         expected = f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline"
         raise ConfigError(f"phase '{name}' has started", key=change.key, expected=expected)
@@ -104,7 +110,7 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
 
 
 def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
-    """Return the updated entry of a phase that did not pass its gate; a changed gate judges the policy again."""
+    """Return the record entry of a phase that failed its gate, updated for a further training or for a changed gate."""
     if not any(change.keys[2] == phase["name"] for change in found):
         message = f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}"
         expected = f"more than {config['max_iterations']}, or another gate"

@@ -1,6 +1,7 @@
 """Run each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record.
 
-Before the first phase, ``require_metrics`` checks that the gates ask for metrics that their protocols measure.
+Before the first phase, ``require_metrics`` checks that the protocol of each gate measures every metric that the gate
+bounds.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
-    """Check that the protocols of the gates measure the metrics that the gates name."""
-    # A short evaluation with NaN as actions gives the names of the metrics: every episode ends after its first step.
+    """Check that the protocol of each gate measures every metric that the gate bounds."""
+    # A short evaluation gives the names of the metrics. Its actions are NaN, so every episode ends after one step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -84,7 +85,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # Only the complete protocol is checked.
+        read_section(Protocol, protocol, "protocol")  # Check the complete protocol before the changes below.
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:
@@ -97,8 +98,8 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
 class PipelineRunner:
     """Runs the remaining phases of a pipeline, until a phase does not pass its gate or a stop is requested.
 
-    Each step (training up to a gate, resuming, evaluating) has its own process. So the run of a phase equals, byte by
-    byte, a run of ``wheelleg train`` with the phase's overrides, and a killed step can be resumed.
+    Each training, resume, and evaluation has its own process. So the run of a phase is bitwise equal to a run of
+    ``wheelleg train`` with the phase's overrides. A killed process can be resumed.
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
@@ -138,7 +139,7 @@ class PipelineRunner:
         return "finished", None
 
     def _phase(self, entry: dict[str, Any], phase: Phase, source: Path | None) -> str | None:
-        """Train one phase, and evaluate its gate at each interval; return why the pipeline must stop, or None."""
+        """Train one phase, and evaluate its policy at regular intervals; return why the pipeline must stop, or None."""
         while True:
             target = self._target(entry, phase)
             self._train(entry, phase, source, target)
@@ -161,12 +162,12 @@ class PipelineRunner:
         return None if passed else why
 
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
-        """Return the iteration at which the phase is evaluated next."""
+        """Return the iteration after which the phase's policy is evaluated next."""
         every = phase.gate.every if phase.gate is not None else None
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # A resume can change `every`, so the phase may be past its next evaluation.
+        # A resume can change `every`, so the next regular evaluation may lie before the current iteration.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 
@@ -208,18 +209,18 @@ class PipelineRunner:
         events = self._perform(self._request("evaluate", words, command, run=str(run), checkpoint=name), entry)
         found = events.get("evaluated")
         if found is None:
-            raise SimulationFailure("the evaluation sent no result", key=str(run))
+            raise SimulationFailure("the process of the evaluation sent no result", key=str(run))
         verdict = judge(gate, found["metrics"])
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
         made = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
         self._index.update(entry, gates=[*entry["gates"], {**facts, **made}])
-        # If the last gate is not passed, the pipeline stops and reports the reason.
+        # If the policy fails the last evaluation of a phase, the pipeline stops and reports the reason.
         why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
         outcome = ("passed" if verdict.passed else "not passed") + why
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")
 
     def _perform(self, request: JobRequest, entry: dict[str, Any]) -> dict[str, Event]:
-        """Run a pipeline step in a child process; return the last event of each kind."""
+        """Train, resume, or evaluate in a child process; return the last event of each event type."""
         last: dict[str, Event] = {}
         if self._stop.requested:
             raise Interrupted

@@ -1,1 +1,1 @@
-"""Replay a run from its snapshot alone, in a child process, and compare the result with the original."""
+"""Train a run again from its snapshot alone, in a child process, and compare the result with the original run."""

@@ -1,6 +1,6 @@
 """Replay a run: restore its source, train again from its snapshot alone, and compare with the original.
 
-A run can be replayed if it has ended and its snapshot equals the digests in its manifest.
+A run can be replayed if it has ended and the files of its snapshot match the digests in its manifest.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | Non
         raise RunDirectoryError(f"run '{run.id}' is still running", expected="a run that has ended")
     there = len(read_log(run.iterations).lines)
     if not there:
-        raise RunDirectoryError(f"run '{run.id}' has no whole iteration to compare with", where=str(run.iterations))
+        raise RunDirectoryError(f"run '{run.id}' has no finished iteration to compare", where=str(run.iterations))
     if wanted is not None and not 1 <= wanted <= there:
         raise RunDirectoryError(f"is {wanted}", key="--iterations", expected=f"from 1 to the {there} that the run has")
     return there if wanted is None else wanted
 
 
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Raise RunDirectoryError for a snapshot that differs from its manifest, and for a run of several processes."""
+    """Raise RunDirectoryError if snapshot files differ from the manifest, or if several processes trained the run."""
     if manifest.matches_digest() is False:
         message = "the manifest was changed after the run wrote it"
         raise RunDirectoryError(message, where=str(run.path / MANIFEST_NAME), expected="an unchanged run")
@@ -78,7 +78,9 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     for path in (path for folder in folders for path in sorted(folder.rglob("*"))):
         name = path.relative_to(run.path).as_posix()
         if name not in recorded and not path.is_dir():
-            raise RunDirectoryError(f"{name} is not in the manifest", where=str(path), expected="the run's own files")
+            raise RunDirectoryError(
+                f"the manifest lacks the file {name}", where=str(path), expected="the run's own files"
+            )
 
 
 KIND = "replay"
@@ -91,13 +93,13 @@ class Replayed:
     original: RunDirectory
     run: RunDirectory
     iterations: int
-    whole: bool  # whether all iterations were compared
+    whole: bool  # whether all iterations of the original run were compared
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # whether the overrides compose to the snapshot (``equal``), and the ``difference``
-    asset: Event  # whether the robot was ``converted`` again, or a ``note`` with the reason why not
+    composed: Event  # ``equal``: whether the overrides compose to the snapshot's config; else the ``difference``
+    asset: Event  # ``converted``: whether the robot was converted again; ``note``: the reason if not
     notes: list[str]
-    kept: Path | None  # the folder of the restored source; None if it was removed
+    kept: Path | None  # the folder of the restored source code; None if this folder was removed
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
@@ -129,15 +131,15 @@ def replay(
     iterations: int | None = None,
     keep: bool = False,
 ) -> Replayed:
-    """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare both runs.
+    """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare the new run with the original.
 
-    The run, the user's repositories, and the working tree are only read. ``repositories`` are git clones that may
-    contain the run's commits. Without ``iterations``, train all iterations of the run. With ``keep``, the restored
-    source is not removed.
+    A replay does not change the original run, the user's repositories, or the working tree. ``repositories`` are git
+    clones that may contain the run's commits. If ``iterations`` is None, all iterations of the run are trained. If
+    ``keep`` is true, the restored source code is not removed.
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
-    _config(run, manifest)  # Composition errors must occur before the source is restored.
+    _config(run, manifest)  # Detect errors in the config before the source code is restored.
     total = iterations_to_train(run, manifest, iterations)
     display.note(describe_code(run))
     with _workplace(keep) as workplace:
@@ -152,7 +154,7 @@ def replay(
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
         folder = source.now(str(manifest.data.get("working_directory") or "/"))
-        if not (folder.is_dir() and folder.is_relative_to(workplace)):  # The restored source may lack it.
+        if not (folder.is_dir() and folder.is_relative_to(workplace)):  # The restored source may lack this folder.
             folder = workplace / "here"
         events = _train(request, source, environ, folder, display, stop)
     new = RunDirectory.open(events["run"]["path"], root)
@@ -178,7 +180,7 @@ def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], 
     try:
         return restore_all(run, workplace, repositories)
     except WheellegError:
-        stop.check()  # Ctrl-C also interrupts git, which then fails.
+        stop.check()  # The error can come from git, which Ctrl-C also interrupts.
         raise
 
 
@@ -205,14 +207,14 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     environ = replay_environ(recorded, also=asked_for)
     if manifest.data.get("config_variables") is None:
         return environ
-    # An environment variable that the config names and the manifest lacks was not set, except for variables that
-    # manifests never record.
+    # If the config names an environment variable that the manifest lacks, the variable was not set in the run.
+    # So remove such variables, except for variables that manifests never record.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
 
 
 def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
-    """Return the config tree of a replay; recorded environment variables replace those of this process."""
+    """Return the config tree of a replay; recorded environment variables replace the variables of this process."""
     return recorded_config(run, {**os.environ, **_recorded_variables(manifest)})
 
 
@@ -239,7 +241,7 @@ def _report(display: Display, source: RestoredSource, machine: list[FactDifferen
 
 @contextmanager
 def _workplace(keep: bool) -> Iterator[Path]:
-    """Yield a new folder, and remove it in the end, except for the source of a successful replay with ``keep``."""
+    """Yield a new folder, and remove the folder on exit; ``keep`` preserves the source code of a successful replay."""
     with for_people(Path(tempfile.gettempdir())):
         folder = Path(tempfile.mkdtemp(prefix="wheelleg-replay-")).resolve()
     kept = False
@@ -297,9 +299,9 @@ def _request(
 def _train(
     request: Request, source: RestoredSource, environ: dict[str, str], folder: Path, display: Display, stop: StopRequest
 ) -> dict[str, Event]:
-    """Train the replay in a child process; return the last event of each kind."""
-    # With -P, Python imports nothing from the working folder. The code is passed as text, so that the child process
-    # imports no file of this version of the package.
+    """Train the replay in a child process; return the last event of each event type."""
+    # With the option -P, Python imports nothing from the working directory.
+    # The code is passed as text, so that the child process imports no file of the current version of this package.
     code = Path(restored_imports.__file__).read_text(encoding="utf-8")
     places = json.dumps({name: str(place) for name, place in source.places.items()})
     last: dict[str, Event] = {}

@@ -24,10 +24,10 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """A source folder that a run recorded, and the origin of the restored content."""
+    """A source folder that a run recorded, and the origin of the folder's restored content."""
 
     root: str
-    how: str  # restored (commit and patch), installed (the current package), in place (recorded folder), or missing
+    how: str  # how the source was found: restored, installed, in place (without a restore), or missing
     commit: str | None = None
     tree: str | None = None
     origin: str | None = None  # the repository from which the commit was read
@@ -35,14 +35,14 @@ class RestoredTree:
 
 @dataclass
 class RestoredSource:
-    """All restored sources of a run."""
+    """All restored source folders of a run."""
 
-    trees: list[RestoredTree] = field(default_factory=list)  # by recorded folder, this package's first
-    places: dict[str, Path] = field(default_factory=dict)  # the folder of each top-level package or module
+    trees: list[RestoredTree] = field(default_factory=list)  # one tree per recorded folder, this package's tree first
+    places: dict[str, Path] = field(default_factory=dict)  # the restored folder of each top-level package or module
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # further packages whose source a new run records
-    moved: dict[str, Path] = field(default_factory=dict)  # the restored folder of each recorded folder
+    source_roots: list[Path] = field(default_factory=list)  # folders of further packages that a new run records
+    moved: dict[str, Path] = field(default_factory=dict)  # maps each recorded folder to its restored folder
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:
@@ -54,12 +54,12 @@ class RestoredSource:
         return self.moved[root] / Path(path).relative_to(root)
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return the restored trees as plain mappings."""
+        """Return facts about the restored source folders as dictionaries."""
         return [asdict(tree) for tree in self.trees]
 
 
 def describe_code(run: RunDirectory) -> str:
-    """Return a sentence that names the code that a replay of a run executes."""
+    """Return a sentence about the source code that a replay of a run executes."""
     main, *others = source_records(run)
     if main["commit"]:
         patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
@@ -74,11 +74,11 @@ def describe_code(run: RunDirectory) -> str:
 
 
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
-    """Restore every source that a run recorded, below the existing folder ``workplace``.
+    """Restore every source folder that a run recorded, as a subfolder of the existing folder ``workplace``.
 
-    The clones in ``repositories`` are searched for commits before the recorded folders and the current checkout.
-    RunDirectoryError means that the source of this package was not recorded, that no repository has the source's
-    commit, or that the source is too old for a replay.
+    The commits are searched first in the git clones ``repositories``, then in the recorded folders and the current
+    checkout. RunDirectoryError means that the source of this package was not recorded, that no repository has the
+    source's commit, or that the source is too old for a replay.
     """
     source = RestoredSource()
     for number, record in enumerate(source_records(run)):
@@ -99,7 +99,7 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 def _restore(
     run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
-    # The restored folder has its recorded name, because imports can depend on the name of a folder.
+    # Give the restored folder its recorded name, because imports can depend on the name of a folder.
     name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
     destination = work / "source" / str(number) / name
     with for_people(destination.parent):
@@ -120,7 +120,7 @@ def _restore(
         if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
             version = record["commit"][:12] if record["commit"] else "the run's source"
             raise RunDirectoryError(
-                f"the code of {version} is from before runs could be replayed (it holds no {PACKAGE}/{ENTRIES[-1]}.py)",
+                f"the source code of {version} is too old for a replay, because {PACKAGE}/{ENTRIES[-1]}.py is missing",
                 expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
                 "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
             )
@@ -162,7 +162,7 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use the current state of a folder that the run did not record, and add a note about possible differences."""
+    """Use the current content of a folder whose content the run did not save, and add a note about differences."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
     unchanged = digest is not None and root.exists() and content_digest(root) == digest

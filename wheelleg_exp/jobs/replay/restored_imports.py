@@ -1,7 +1,7 @@
 """Start a training in a process that imports packages from restored source trees.
 
-This file runs as a script, before any module of this package is imported. Its last argument is JSON: the folder of
-each top-level package or module. A module of this package that is missing in the restored source is not searched on
+This file runs as a script, before any module of this package is imported. Its last argument is JSON: the folder of each
+top-level package or module. If the restored source lacks a module of this package, the module is not searched on
 ``sys.path``, which may contain another version of this package.
 """
 
@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 _OWN = "wheelleg_exp"
-# The modules that train from a snapshot, in this version and in older versions of this package.
+# The module that trains from a snapshot has these paths in this version and in older versions of this package.
 ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 
@@ -29,7 +29,7 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a restored module; stop there, as ``sys.path`` may contain another version of it."""
+        """Return the spec of a restored module; raise ModuleNotFoundError if the restored source lacks the module."""
         top = fullname.partition(".")[0]
         if top not in self._places:
             return None
@@ -40,7 +40,7 @@ class RestoredFinder:
 
 
 def main() -> int:
-    """Install the finder of restored packages, and train."""
+    """Install the import finder of the restored packages, and run the training."""
     places = json.loads(sys.argv.pop())
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN

@@ -1,8 +1,8 @@
 """Train again from the snapshot of a run, in a child process that imports the restored source of the run.
 
 The parent process may run another version of this package. So the protocol between parent and child (see
-``child_process``) is small and has a version number. The events are ``began``, ``note``, ``composed``, ``asset``,
-``run``, ``iteration`` and ``ended``.
+``child_process``) is small and has a version number. The child process sends the events ``began``, ``note``,
+``composed``, ``asset``, ``run``, ``iteration`` and ``ended``.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ PROTOCOL = 1
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the parent process for a replay's training."""
+    """The request of the parent process to train a replay."""
 
     protocol: int
-    run: str  # the run directory of the snapshot
-    until: int  # the number of iterations to train
-    root: str  # the folder of the new run
+    run: str  # the run directory that contains the snapshot
+    until: int  # the number of iterations that the replay trains
+    root: str  # the root folder of the new run
     name: str  # the name of the new run
-    workplace: str  # an existing folder, which the parent process removes after the training
+    workplace: str  # a temporary folder, which the parent process removes after the training
     config_dirs: list[str]
     projects: list[str]
     source_roots: list[str]
-    moved: dict[str, str]  # the restored folder of each recorded folder
+    moved: dict[str, str]  # maps each recorded folder to its restored folder
     command: list[str]
-    facts: dict[str, Any]  # added to the manifest of the new run
+    facts: dict[str, Any]  # facts that are added to the manifest of the new run
 
     def line(self) -> bytes:
         """Return the request as one line of JSON."""
@@ -52,15 +52,17 @@ class Request:
 
     @classmethod
     def read(cls, line: bytes) -> Request:
-        """Parse the request of a line; ignore keys that this version of the package does not know."""
+        """Parse a request from one line of JSON; ignore keys that this version of the package does not know."""
         found = json.loads(line)
         if found.get("protocol") != PROTOCOL:
-            raise WheellegError(f"replay protocol {found.get('protocol')!r} is not known", expected=str(PROTOCOL))
+            raise WheellegError(
+                f"unknown version {found.get('protocol')!r} of the replay protocol", expected=str(PROTOCOL)
+            )
         return cls(**{field.name: found[field.name] for field in fields(cls)})
 
 
 class ReplayDisplay(PipeDisplay):
-    """Sends the training's events, and stops the training after the last requested iteration."""
+    """Sends the training's events to the parent process, and stops the training after the last requested iteration."""
 
     def __init__(self, pipe: EventPipe, stop: StopRequest) -> None:
         super().__init__(pipe)
@@ -70,12 +72,12 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send a finding to the parent process, and store the finding for the manifest."""
+        """Send an event to the parent process, and store the event's facts for the manifest."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 
     def note(self, text: str) -> None:
-        """Send one line. Notes of a training about the working tree do not apply to a replay."""
+        """Send a note to the parent process, unless the note is about the working tree, which a replay ignores."""
         if not self.warnings_only or text.startswith("warning"):
             super().note(text)
 
@@ -88,7 +90,7 @@ class ReplayDisplay(PipeDisplay):
 
 
 def main() -> int:
-    """Serve the request on standard input, and return the exit status."""
+    """Read a request from standard input, train the replay, and return the exit status."""
     return serve_job(_train)
 
 
@@ -118,7 +120,7 @@ def _train(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Return the config of the snapshot with the folder of the new run, without films and without W&B."""
+    """Return the snapshot's config with the folder of the new run, without films, and without W&B logging."""
     from wheelleg_exp.run.run_config import load_params, recorded_config
 
     env, agent = load_params(run)
@@ -150,7 +152,7 @@ def _prepare(run: RunDirectory, config: dict[str, Any], request: Request, displa
 
 
 def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
-    """Convert the robot again from its restored source, or copy the robot that the run saved."""
+    """Convert the robot again from its restored source files, or copy the converted robot that the run saved."""
     from wheelleg_exp.jobs.saved_robot import copy_saved_robot, saved_mjcf
 
     workplace = Path(request.workplace)
@@ -185,7 +187,7 @@ def _converted_again(
 
 
 def _moved(name: str, moved: Mapping[str, str]) -> str:
-    """Return an absolute path; a path in a recorded folder is moved to the restored folder."""
+    """Return a recorded path as an absolute path; a path in a recorded folder is moved to the restored folder."""
     for before, after in moved.items():
         if Path(name).is_relative_to(before):
             return str(Path(after) / Path(name).relative_to(before))

@@ -1,7 +1,8 @@
 """Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
 
-The run directory stores a copy of the initial networks next to the robot, so that the run can be reproduced without the
-run that trained these networks. ``fit`` compares the observations, actions, and network sizes of both tasks.
+A run directory stores a copy of the initial networks next to the robot, so that the run can be reproduced without the
+run that trained these networks. ``fit`` compares the observations, actions, and network sizes of the old and the new
+training.
 """
 
 from __future__ import annotations
@@ -26,30 +27,30 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import load_params, upgrade_env_params
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_iteration
 
-# Keys of an observation group that decide the layout of its vector, in addition to its terms.
+# These config keys of an observation group decide the layout of the group's vector, in addition to the terms.
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
-# Keys of an observation term that decide its function and its width.
+# These config keys of an observation term decide the term's function and width.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
-Tree = Mapping[str, Any]  # a config section, or a checkpoint
-_IGNORED_KEYS = ("noise",)  # A policy tolerates changes of these keys of an observation term.
+Tree = Mapping[str, Any]  # a config section, or the content of a checkpoint
+_IGNORED_KEYS = ("noise",)  # A policy still fits if these keys of an observation term change.
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The differences between the settings of a policy's training and new settings."""
+    """The differences between the settings with which a policy was trained and the settings of a new training."""
 
-    mistakes: list[ConfigError]  # make the policy unusable
-    suspects: list[ConfigError]  # changed joints, bodies, or sensors of a term, which may change its width
-    notes: list[str]  # changed settings that do not change the layout of a vector, and the suspects
+    mistakes: list[ConfigError]  # the differences that make the policy unusable
+    suspects: list[ConfigError]  # changed joints, bodies, or sensors of a term, which may change the width of the term
+    notes: list[str]  # texts about changed settings that keep the layout of all vectors, and about ``suspects``
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
-    """Compare the settings of a policy's training with new settings.
+    """Compare the settings of a policy's earlier training with the settings of a new training.
 
-    ``was`` and ``now`` are pairs of the ``env`` and ``agent`` sections. ``roles`` are the copied networks, and ``of``
-    is the name of the policy's run in messages. Only the networks show whether a changed parameter, such as other
-    joints, changes the width of a term. So a changed parameter becomes a note, which can explain why a network does not
-    fit.
+    ``was`` and ``now`` are pairs of the config sections ``env`` and ``agent``. ``roles`` names the networks to copy,
+    and ``of`` is the name of the policy's run in messages. Only a built network shows whether a changed parameter of a
+    term, such as its joints, changes the term's width. So a changed parameter of a term is reported as a note, not as a
+    mistake.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -74,7 +75,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
     for change in changes(was or {}, now or {}, same):
-        if change.keys != ("distribution_cfg", "init_std"):  # The learned deviation replaces it.
+        if change.keys != ("distribution_cfg", "init_std"):  # The learned standard deviation replaces this setting.
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
@@ -129,7 +130,7 @@ def _shorten(value: Any) -> str:
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# The parts of a checkpoint that are copied, by the value of `init_from_what`.
+# For each value of `init_from_what`, the parts of a checkpoint that a new training copies.
 PARTS = {"networks": ("actor", "critic"), "policy": ("actor",), "learning": ("actor", "critic", "optimizer")}
 
 
@@ -145,11 +146,11 @@ class _Source:
 
 @contextmanager
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield the initial networks' file by its saved name, and facts about their run; empty without ``init_from``.
+    """Yield the initial networks' file by its saved name, and facts about its run; empty dicts without ``init_from``.
 
-    The file does not name its run, so that equal networks of two runs have equal files. ``note`` receives texts about
-    the observations that differ from the policy's training. ConfigError means that the checkpoint is missing or
-    damaged, or does not fit the observations, actions, and networks of the config.
+    The file does not contain the name of the run, so that equal networks of two runs have equal files. ``note``
+    receives texts about the observations that differ from the policy's training. ConfigError means that the checkpoint
+    is missing or damaged, or does not fit the observations, actions, and networks of the config.
     """
     if config.get(KEY) is None:
         yield {}, {}
@@ -157,18 +158,18 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
     with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        # A checkpoint with only the selected parts, and facts about their origin.
+        # Create a checkpoint with only the selected parts, and with facts about the origin of these parts.
         what = _parts_name(config)
         parts = PARTS[what]
         if "actor" not in config["agent"]:
-            raise ConfigError("a student learns only from its teacher", key=KEY, expected="null, or another agent")
+            raise ConfigError("a student cannot start with another policy", key=KEY, expected="null, or another agent")
         absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
         if absent:
             message = f"'{source.label}' has no {absent[0]} to start with"
             raise ConfigError(message, key=WHAT, expected="policy, which needs only the actor")
         facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
         facts |= {"what": what, "parts": list(parts)}
-        # A checkpoint needs the keys of two networks, so an unused critic is empty.
+        # A checkpoint must contain an actor and a critic, so a critic that is not copied is an empty dictionary.
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
@@ -211,13 +212,13 @@ def _find(named: str, root: str) -> _Source:
         run = RunDirectory.open(folder, root) if (folder / MANIFEST_NAME).is_file() else None
     else:
         if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
-            # The error about a missing checkpoint names the checkpoint with the nearest name.
+            # If the checkpoint is missing, this call raises an error that suggests a checkpoint with a similar name.
             RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))
         run = RunDirectory.open(named, root)
         path = run.latest_checkpoint()
     if run is not None and not run.manifest().matches_record(path):
         expected = "a checkpoint nobody has changed"
-        raise RunDirectoryError("is not what its run recorded", key=str(path), expected=expected)
+        raise RunDirectoryError("differs from the checkpoint that its run recorded", key=str(path), expected=expected)
     return _Source(path, run)
 
 
@@ -225,7 +226,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # The networks of a distillation have the names student and teacher.
+    if "actor" not in agent:  # The networks of a distillation are named student and teacher, and are not compared.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
@@ -236,7 +237,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
 
 @contextmanager
 def _at_key(key: str) -> Iterator[None]:
-    """Raise an error about a run directory as an error about a config key."""
+    """Convert a RunDirectoryError inside the block into a ConfigError about the config key ``key``."""
     try:
         yield
     except RunDirectoryError as error:
@@ -245,7 +246,7 @@ def _at_key(key: str) -> Iterator[None]:
 
 
 def find_teacher(config: Tree) -> dict[str, Path]:
-    """Return the teacher's checkpoint file by its name next to the robot; empty if the config names no teacher."""
+    """Return the teacher's checkpoint file by its saved name; return an empty dict if the config names no teacher."""
     named = config["agent"].get("teacher_checkpoint")
     if named is None:
         return {}
@@ -258,6 +259,6 @@ def find_teacher(config: Tree) -> dict[str, Path]:
 
 
 def saved_teacher(asset: CachedConversion) -> dict[str, Any] | None:
-    """Return the teacher's checkpoint that is saved next to a robot, or None."""
+    """Load the teacher's checkpoint that is saved next to a robot; return None without a teacher."""
     path = asset.output.parent / TEACHER
     return checkpoint.load(path) if path.is_file() else None

@@ -18,7 +18,7 @@ from wheelleg_exp.stop_request import StopRequest
 
 
 def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
-    """Prepare a training in a rank above 0, as ``prepare_training.prepare`` does in rank 0, which reports errors."""
+    """Prepare a training in a rank above 0; rank 0 runs ``prepare_training.prepare`` and reports errors."""
     with ranks.agreed():
         recipe = find_inputs(composed, Display())
     with ranks.agreed():
@@ -28,7 +28,7 @@ def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
 
 
 def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
-    """Train in a rank above 0, as ``run_training.run`` does in rank 0, and send rank 0 the state for checkpoints."""
+    """Train in a rank above 0, and send rank 0 the state for its checkpoints; rank 0 runs ``run_training.run``."""
     total, state, unsaved = int(agent["max_iterations"]), None, False
     ranks = trainer.ranks
     stop.check(ranks.any(stop.requested))

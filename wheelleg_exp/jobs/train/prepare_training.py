@@ -8,7 +8,7 @@ last step.
 3. Exchange facts about the machines of all ranks.
 4. ``create_run``: create the run directory, and write robot, configs, source snapshot, and manifest into it.
 
-A mistake in one of the first three steps leaves no run directory behind.
+If one of the first three steps fails, no run directory is created.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class Recipe:
 
     config: dict[str, Any]
     hydra_files: Mapping[str, str]
-    source_roots: Sequence[Path]  # the folder of this package first
+    source_roots: Sequence[Path]  # the source folders to record, this package's folder first
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None  # a resumed run's decision of ``agent.matmul: auto``; None decides by this CPU
+    matmul: str | None = None  # in a resume, the recorded choice of ``agent.matmul: auto``; None chooses by this CPU
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Training:
     directory: RunDirectory
     manifest: Manifest
     lock: RunLock  # acquired in a resume
-    earlier: Sequence[Mapping[str, Any]] = ()  # log lines of the finished iterations, in a resume
+    earlier: Sequence[Mapping[str, Any]] = ()  # in a resume, the log lines of the finished iterations
     recomputed: Callable[[int, Mapping[str, str]], None] = lambda _iteration, _digests: None
 
 
@@ -126,7 +126,7 @@ def create_run(
     command: Sequence[str],
     display: Display,
 ) -> tuple[RunDirectory, Manifest]:
-    """Create the run directory with its snapshot, and return it with its manifest."""
+    """Create the run directory and its snapshot; return the run directory and its manifest."""
     config, env = recipe.config, trainer.env.env
     run = config["run"]
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
@@ -154,7 +154,7 @@ def create_run(
             display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")
         sync_folder(directory.path)
     except BaseException:
-        if not (directory.path / MANIFEST_NAME).exists():  # Nobody could identify a run without a manifest.
+        if not (directory.path / MANIFEST_NAME).exists():  # A folder without a manifest is not recognised as a run.
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
     return directory, manifest

@@ -1,6 +1,6 @@
-"""Find the last whole checkpoint of a run, and remove data of later iterations from the run's files.
+"""Find the last complete checkpoint of a run, and remove data of later iterations from the run's files.
 
-The digests of a checkpoint must equal the digests in the log of iterations.
+The digests of a checkpoint must equal the digests in the run's iteration log.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """The end of the last iteration whose state is saved completely."""
+    """The point from which a run resumes: the end of the last iteration that has a complete checkpoint."""
 
-    iteration: int  # the first iteration to compute
-    checkpoint: Path | None  # the state after the previous iteration; None at the start of the run
+    iteration: int  # the first iteration that the resume computes
+    checkpoint: Path | None  # the checkpoint after the previous iteration; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
-    lines: Sequence[Line]  # all whole lines of the log of iterations
-    damaged: Mapping[Path, str]  # newer checkpoints that cannot be used, with the reason
+    lines: Sequence[Line]  # all complete lines of the run's iteration log
+    damaged: Mapping[Path, str]  # newer checkpoints that cannot be used, each with the reason
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
@@ -44,13 +44,13 @@ class ResumePoint:
 
     @property
     def dropped(self) -> dict[int, Mapping[str, str]]:
-        """The digests of the iterations after the checkpoint, which are computed a second time."""
+        """The digests of the iterations after the checkpoint, which the resume computes a second time."""
         later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
 
 def find_point(run: RunDirectory) -> ResumePoint:
-    """Find the last whole checkpoint of a run.
+    """Find the last complete checkpoint of a run.
 
     RunDirectoryError means that the log ends before the checkpoint, that the log's digests differ from the
     checkpoint's, or that this version cannot resume the checkpoint.
@@ -60,9 +60,11 @@ def find_point(run: RunDirectory) -> ResumePoint:
     foreign: RunDirectoryError | None = None
     for path in reversed(run.checkpoints()):
         try:
-            state = checkpoint.load(path, finite=False)  # The training itself checks that numbers are finite.
+            state = checkpoint.load(path, finite=False)  # The training itself detects NaN and inf.
             if state["iter"] != checkpoint_iteration(path):
-                raise RunDirectoryError(f"the checkpoint holds iteration {state['iter']}", key=str(path))
+                raise RunDirectoryError(
+                    f"the checkpoint's iteration {state['iter']} differs from its name", key=str(path)
+                )
         except RunDirectoryError as error:
             damaged[path] = error.message
             continue
@@ -71,7 +73,7 @@ def find_point(run: RunDirectory) -> ResumePoint:
         if len(point.lines) < point.iteration:
             assert point.checkpoint is not None
             raise RunDirectoryError(
-                f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} "
+                f"{run.iterations.name} has no full line of iteration {len(point.lines)}, but {point.checkpoint.name} "
                 "exists, so the log would have a gap",
                 key=str(run.iterations),
                 expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
@@ -85,19 +87,19 @@ def find_point(run: RunDirectory) -> ResumePoint:
         why = f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}"
         own = "the run's own checkpoints and log"
         foreign = foreign or RunDirectoryError(why, key=str(path), expected=own)
-    if foreign is not None:  # A start from iteration 0 would discard the training.
+    if foreign is not None:  # A restart at iteration 0 would discard the finished training.
         raise foreign
     return ResumePoint(0, None, None, lines, damaged)
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return the damaged files that a resume continues (not those that it rewrites), with the kind of damage."""
+    """Return texts about damaged files that a resume continues; files that a resume rewrites are left out."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
 
 def _lasts(name: str, start: int) -> bool:
-    """Return whether a resume from the iteration ``start`` preserves a file, or at least the file's beginning."""
+    """Return whether a resume from the iteration ``start`` keeps a file, or at least the beginning of the file."""
     checkpoint = CHECKPOINT.fullmatch(name)
     if checkpoint is not None:
         return int(checkpoint[1]) < start
@@ -118,7 +120,7 @@ _DAMAGED = ".damaged"
 def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
     """Remove data that was written after the checkpoint, and unfinished data of a killed process, from the run's files.
 
-    If ``events`` is false, the run writes no event files, and existing event files are not changed.
+    If ``events`` is false, the event files of TensorBoard are not changed.
     """
     for path in point.damaged:
         with for_people(path):
@@ -129,13 +131,13 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        # Training changes the exported policy. Bundles remain valid, because each bundle names its checkpoint.
+        # Remove the exported policy, which will change. Keep bundles, because each bundle names its checkpoint.
         for path in run.exported.iterdir() if run.exported.is_dir() else ():
             if path.is_file():
                 path.unlink()
-            elif path in temporaries(run.exported):  # An export that was killed left this folder.
+            elif path in temporaries(run.exported):  # A killed export left this temporary folder behind.
                 shutil.rmtree(path)
-        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest also describes the failure.
+        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest still describes the failure.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)

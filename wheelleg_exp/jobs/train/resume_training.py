@@ -1,4 +1,4 @@
-"""Resume a run that was stopped or killed, or that needs more iterations. The result equals an uninterrupted run.
+"""Resume a run that was stopped or killed, or that needs more iterations. A resumed run equals an uninterrupted run.
 
 All ranks of a run must resume together. Rank 0 reads the run directory, and broadcasts the run's state to the remaining
 ranks.
@@ -38,15 +38,16 @@ from wheelleg_exp.verify.run_differences import decides
 
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
-    """Return the recipe of a resumed training, with the robot in the run directory."""
+    """Return the inputs of a resumed training, with the robot that is saved in the run directory."""
     matmul = (run.manifest().data.get("threads") or {}).get("matmul")
     return Recipe(tree, {"config.yaml": text}, (), load_saved_robot(run), folders, matmul=matmul)
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
-    """Load the state of a checkpoint into a training; return texts about differences from the saved state.
+    """Load a checkpoint's state into a training; return texts about differences from the checkpoint's state.
 
-    Each rank loads its part of the state. A changed ``learning_rate`` replaces the checkpoint's learning rate.
+    Each rank loads its part of the checkpoint's state. If ``learning_rate`` is not None, it replaces the learning rate
+    of the checkpoint.
     """
     own = state_of_rank(state, trainer.ranks.rank)
     trainer.load_state_dict(own)
@@ -65,21 +66,21 @@ def learning_rate_of(changes: Sequence[Change]) -> float | None:
 
 
 def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
-    """Refuse a resume with another number of ranks, because each rank has its own environments and random streams."""
+    """Raise an error if the number of ranks changed, because each rank has its own environments and random streams."""
     trained = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if trained == ranks.size:
         return
     command = f"wheelleg resume {manifest.directory.name}"
     raise RunDirectoryError(
-        f"the run was trained by {_processes(trained)} and cannot resume with {_processes(ranks.size)}: each has "
-        "environments and random numbers of its own",
+        f"the run was trained by {_processes(trained)} and cannot resume with {_processes(ranks.size)}: each process "
+        "has its own environments and random numbers",
         key=str(manifest.directory),
         expected=f"torchrun --nproc-per-node {trained} --no-python {command}" if trained > 1 else f"'{command}' alone",
     )
 
 
 def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str, Any]]:
-    """Prepare a resume in a rank above 0, as ``prepare_resume`` does in rank 0; return the trainer and ``agent``."""
+    """Prepare a resume in a rank above 0; return the trainer and the config section ``agent``."""
     with ranks.agreed():
         pass  # Ranks above 0 wait while rank 0 reads the run directory.
     message = ranks.said_by_first(None)
@@ -108,11 +109,11 @@ def prepare_resume(
     config_dirs: Sequence[Path] = (),
     ranks: Ranks = ALONE,
 ) -> Training:
-    """Restore a run to its last whole checkpoint, ready for ``run_training.run``, which releases the run's lock.
+    """Restore a run to its last complete checkpoint for ``run_training.run``, which later releases the run's lock.
 
-    ``overrides`` change settings from the checkpoint on. Empty ``config_dirs`` mean the recorded config folders. If
-    another process writes the run, the run is damaged or finished, or an override is wrong, raise WheellegError and
-    change no file of the run.
+    ``overrides`` change settings for the iterations after the checkpoint. If ``config_dirs`` is empty, the recorded
+    config folders are used. WheellegError means that another process writes the run, that the run is damaged or
+    finished, or that an override is wrong. An error leaves all files of the run unchanged.
     """
     lock = RunLock(run)
     try:
@@ -162,7 +163,7 @@ def _prepare(
         )
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    if not manifest.data["source"]:  # The run was killed before the first step, while its source was recorded.
+    if not manifest.data["source"]:  # The run was killed while its source was being recorded.
         complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
     # 3. Load the checkpoint, and collect reasons why the resume is inexact.
     with ranks.agreed():
@@ -197,7 +198,7 @@ def _prepare(
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Refuse a run whose process is alive; on file systems with locks, the run's lock already refuses it."""
+    """Raise an error if the run's process is alive; this check is needed on file systems without locks."""
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return
@@ -225,7 +226,7 @@ def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
 
 
 def _config_dirs_of_command(manifest: Manifest) -> list[str]:
-    """Return the config folders of the command line, for a run that was killed before its manifest named any."""
+    """Return the config folders in a run's command line, for a run that was killed before its manifest had folders."""
     words = [str(word) for word in manifest.data.get("command") or ()]
     named = [after for word, after in pairwise(words) if word == "--config-dir"]
     named += [word.partition("=")[2] for word in words if word.startswith("--config-dir=")]
@@ -244,7 +245,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add the unused config folders of the manifest, with the reason, to errors about unknown targets."""
+    """Add a text about unused config folders of the manifest to errors about unknown targets."""
     try:
         yield
     except ConfigError as error:
@@ -273,7 +274,7 @@ def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequ
 
 
 class RecomputedCheck:
-    """Compares the iterations that a resume computes a second time with the digests in the log of iterations."""
+    """Compares the iterations that a resume computes a second time with the digests of their first computation."""
 
     def __init__(self, expected: Mapping[int, Mapping[str, str]], manifest: Manifest, display: Display) -> None:
         self._expected, self._manifest, self._display = dict(expected), manifest, display

@@ -1,7 +1,8 @@
-"""Folders that contain the source of a training, and differences between a run and the current source and machine.
+"""Find the source folders of a training, and compare a run with the current source code and machine.
 
-The folders are this package, the user's projects and configs, and packages imported from elsewhere. A difference in
-source, versions, hardware, threads, or variables means that a resume is not exact.
+The source folders are this package, the user's projects and configs, and packages imported from elsewhere. After a
+change of source, versions, hardware, threads, or environment variables, a resumed run may differ from an uninterrupted
+run.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _CALLS = ("_target_", "class_name")
 
 
 def source_roots(composed: Composed) -> list[Path]:
-    """Return the folders whose source a training depends on, this package's own first.
+    """Return the folders whose source code a training depends on; the folder of this package comes first.
 
     The remaining folders are the user's projects (packages, assets, and configs), the other folders of Hydra's search
     path, and the packages that the config calls. The folder of the robot's file is not included, because a run saves
@@ -43,8 +44,8 @@ def source_roots(composed: Composed) -> list[Path]:
 
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
-    """Return the imported packages and modules outside the roots, the standard library, and virtual environments."""
-    # Such modules came from ``PYTHONPATH``, the working folder, or a path file, and may have affected the training.
+    """Return the imported packages and modules outside of ``roots``, the standard library, and virtual environments."""
+    # Modules from ``PYTHONPATH``, the working directory, or a path file may have affected the training.
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):
@@ -66,7 +67,7 @@ def _config_folders(composed: Composed) -> Iterator[Path]:
 
 
 def _packages_called(config: Mapping[str, Any]) -> list[str]:
-    """Return the names of the user's packages that provide targets and classes of the config."""
+    """Return the names of the user's packages whose functions and classes the config names."""
     declared = {*installed_packages(), *joined_packages()}
     called = set(_called_names(config))
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
@@ -105,7 +106,7 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # The sitecustomize of a system is a link from the standard library to another folder.
+    # Do not resolve links first, because the system's module sitecustomize is a link in the standard library.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 
@@ -126,9 +127,9 @@ def shorten(value: Any) -> str:
 
 
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
-    """Return how source, versions, hardware, threads, and variables of this process differ from those of a run.
+    """Return the differences in source, versions, hardware, threads, and variables between a run and this process.
 
-    Differences that cannot change a number are left out. ``threads`` is the result of ``set_threads``.
+    Differences that cannot change the numbers of a training are left out. ``threads`` is the result of ``set_threads``.
     """
     now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
     now["environment_variables"] = environment.variables()
@@ -156,7 +157,7 @@ def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the name and the value that identify the files of a recorded repository or folder."""
+    """Return the name and the value of the digest that identifies the files of a recorded source folder."""
     if not record:
         return "(not kept)", ""
     key = "tree" if record["tree"] else "content_sha256"
@@ -165,7 +166,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
-    # Other recorded folders count only if they are trusted, installed, or imported by this process.
+    # Further recorded folders are used only if they are trusted, installed, or imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     records = [record for record in _records(load_source(run)) if record["root"] is not None]
     recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]

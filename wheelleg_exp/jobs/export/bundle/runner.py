@@ -4,9 +4,10 @@
     policy.reset()                         # when an episode begins
     targets = policy.step({"base_ang_vel": ..., "base_quat": ..., "joint_pos": ..., "commands.<name>": ...})
 
-Call ``step`` every ``step_dt`` seconds. ``policy.json`` names each reading with its width and unit (``readings``) and
-the joints in order (``joint_names``); README.md explains the remaining keys. ``python runner.py`` compares each step
-with recorded steps of the training's simulation; ``--onnx`` does so with ``policy.onnx`` (onnxruntime or onnx).
+Call ``step`` every ``step_dt`` seconds. ``policy.json`` lists the sensor readings with width and unit (``readings``)
+and the joints in order (``joint_names``). README.md explains the remaining keys. ``python runner.py`` compares computed
+steps with recorded steps of the training's simulation. ``python runner.py --onnx`` checks ``policy.onnx``, with the
+package onnxruntime or onnx.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 F = np.float32
-LARGEST = 2.0**64  # A larger reading is treated as inf, because sums of smaller readings cannot overflow.
+LARGEST = 2.0**64  # A reading above this value is treated as inf; sums of smaller readings cannot overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
@@ -35,12 +36,12 @@ ACTIVATIONS: dict[str, Callable[..., Any]] = {
 
 
 def array(values: Any, missing: float = 0.0) -> np.ndarray:
-    """Return numbers as a float32 array; JSON's null becomes ``missing``."""
+    """Return numbers as a float32 array, with ``missing`` in place of each null of JSON."""
     return np.array([missing if value is None else value for value in values], F)
 
 
 def projected_gravity(quat: Any) -> np.ndarray:
-    """Return the unit vector of gravity in the axes of a link with orientation (w, x, y, z)."""
+    """Return the unit vector of gravity in the frame of a link; ``quat`` (w, x, y, z) is the link's orientation."""
     w, x, y, z = np.asarray(quat, np.float64) / np.linalg.norm(quat)
     return np.array([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], F)
 
@@ -55,12 +56,12 @@ class Term:
         self.length = max(1, spec["history_length"])
 
     def reset(self) -> None:
-        """Empty the history and the memory of the modifiers, at the start of an episode."""
-        self.history: np.ndarray | None = None  # The first sample fills the whole history.
+        """Clear the term's history and the state of its modifiers, at the start of an episode."""
+        self.history: np.ndarray | None = None  # The first sample after a reset fills the whole history.
         self.memory: dict[int, list[np.ndarray]] = {}
 
     def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the value of the term's function, before modifiers; ``steps`` counts control steps since the reset."""
+        """Return the term's value before its modifiers; ``steps`` is the number of control steps since the reset."""
         spec, kind, time = self.spec, self.spec["function"], F(steps) * F(self.dt)
         if kind == "last_action":
             return action[self.columns]
@@ -87,10 +88,10 @@ class Term:
         return x
 
     def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the bounded travel of wheels and gyroscope minus the commanded travel, m and rad."""
+        """Return the difference of measured and commanded travel, m and rad, clipped to its bounds."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # The first step has no travel error.
+        if -1 in self.memory:  # In the first step after a reset, the travel error is 0.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
@@ -99,7 +100,7 @@ class Term:
         return total
 
     def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
-        """Return a value after the modifier with this index; the modifier's state is stored for the next step."""
+        """Apply a modifier of the term to ``x``, and store the modifier's state for the next control step."""
         kind = spec["kind"]
         if kind == "scale":
             return x * F(spec["multiplier"])
@@ -112,7 +113,7 @@ class Term:
             total = total + (x + before) / F(2) * F(spec["dt"])
             self.memory[number] = [total, x]
             return total
-        # The last kind of modifier is a digital filter, whose memory has the newest value first.
+        # This modifier is a digital filter, whose memory starts with the newest value.
         forward, feedback = array(spec["B"]), array(spec["A"])
         empty = [np.zeros((*x.shape, len(forward)), F), np.zeros((*x.shape, len(feedback)), F)]
         ins, outs = self.memory.get(number, empty)
@@ -122,7 +123,7 @@ class Term:
         return y
 
     def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the term's part of the observation, with its history, flat; ``value`` has equal arguments."""
+        """Return the term's part of the observation, including the term's history, as a flat array."""
         x = self.value(readings, action, steps)
         for number, spec in enumerate(self.spec["modifiers"]):
             x = self.modified(number, spec, x)
@@ -137,8 +138,8 @@ class Term:
 class Policy:
     """The policy with its memory: histories, last action, filters, moving averages.
 
-    With ``onnx``, run ``policy.onnx`` with onnxruntime, or with onnx.reference where onnxruntime is missing.
-    ``observation`` is the network's last input, before normalisation; ``action`` is the network's last output, clipped
+    If ``onnx`` is true, onnxruntime runs ``policy.onnx``, or onnx.reference does if onnxruntime is missing.
+    ``observation`` is the network's last input, before normalisation. ``action`` is the network's last output, clipped
     as in training.
     """
 
@@ -164,17 +165,18 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next readings fill every history, and rolling joints count from them."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # The readings of rolling joints at the reset minus their defaults.
+        self.zero = np.zeros(len(self.default))  # each rolling joint's position at the reset minus its default
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
             term.reset()
 
     def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Return the targets of all joints: ``position`` (rad), ``velocity`` (rad/s), ``effort`` (N·m), (J,) each.
+        """Return the targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of all J joints, (J,) each.
 
-        ``readings`` are the present sensor values and commands, by name; ``base_quat`` (w, x, y, z) can replace
-        ``projected_gravity``. A reading that is missing or not finite raises ValueError and changes nothing.
+        ``readings`` are the current sensor values and commands, by name. The reading ``base_quat`` (w, x, y, z) can
+        replace ``projected_gravity``. A missing or non-finite reading raises ValueError and leaves the policy's state
+        unchanged.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
@@ -191,21 +193,21 @@ class Policy:
             if name not in found or found[name].shape != (known["width"],):
                 raise ValueError(f"reading '{name}' must be {known['width']} numbers: {known['meaning']}")
             if not (np.abs(found[name]) < LARGEST).all():
-                raise ValueError(f"reading '{name}' is not finite, or too large")
+                raise ValueError(f"reading '{name}' contains a number that is not finite or too large")
         if self.steps == 0:
             self.zero = np.where(self.rolling, np.asarray(readings["joint_pos"], float) - self.default, 0.0)
         found["joint_pos"] = self.counted(readings["joint_pos"])
         pieces = []
         for terms, group in zip(self.groups, self.spec["observations"], strict=True):
             histories = [term.sample(found, self.action, self.steps) for term in terms]
-            if group["history_order"] == "time":  # Each time step has all terms.
+            if group["history_order"] == "time":  # Each time step of the history contains all terms.
                 pieces.append(np.concatenate(histories, axis=1).ravel())
             else:  # term by term
                 pieces += [history.ravel() for history in histories]
         return np.concatenate(pieces)
 
     def network(self, observation: np.ndarray) -> np.ndarray:
-        """Return the action for an observation, clipped as in training; NumPy computes it in float64."""
+        """Return the action for an observation, clipped as in training; NumPy computes the action in float64."""
         if self.session is not None:
             return self.clipped(self.session.run(None, {"obs": observation[None]})[0][0])
         x = observation.astype(np.float64)
@@ -217,12 +219,12 @@ class Policy:
         return self.clipped(x.astype(F))
 
     def clipped(self, actions: np.ndarray) -> np.ndarray:
-        """Return the network's output, clipped as in training."""
+        """Return the network's actions, clipped to the limits of the training."""
         bound = self.spec["clip_actions"]
         return actions if bound is None else np.clip(actions, F(-bound), F(bound))
 
     def act(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the joint targets for ``action``, as ``step`` does, and update the moving averages of the actions."""
+        """Return the joint targets for the last computed action, and update the moving averages of the actions."""
         self.steps += 1
         self.processed = [self.process(term, self.counted(joint_pos)) for term in self.spec["actions"]]
         return self.targets(joint_pos)
@@ -246,7 +248,7 @@ class Policy:
             low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
             if term["rescale"]:
                 x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
-            if "alpha" in term:  # The moving average of the action starts at the joint positions.
+            if "alpha" in term:  # The moving average of the action starts at the current joint positions.
                 last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
                 x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
                 self.averages[term["name"]] = x
@@ -255,7 +257,8 @@ class Policy:
     def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
         """Return the targets for newer joint positions: only relative targets differ from those of ``step``.
 
-        Positions are clipped to the joints' limits, velocities to the drives' limits.
+        Target positions are clipped to the joint limits. Target velocities are clipped to the velocity limits of the
+        drives.
         """
         found = {"position": self.default.copy(), "velocity": np.zeros_like(self.default)}
         found["effort"] = np.zeros_like(self.default)
@@ -268,11 +271,11 @@ class Policy:
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
-    """Return the largest differences of the runner from the steps in ``check.npz`` (see ``largest_difference``).
+    """Return the largest differences between the runner's steps and the recorded steps in ``check.npz``.
 
     Each compared step starts from recorded values: observations from readings and last actions, actions from the
-    observation, and targets from the action. ``actions_float32`` compares the network in float32, as in training, where
-    the order of sums changes the rounding.
+    observation, and targets from the action. ``actions_float32`` compares actions in float32, for which the order of a
+    sum changes the rounding.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
@@ -297,7 +300,7 @@ def largest_difference(found: Any, wanted: np.ndarray) -> float:
 
 
 def main(words: list[str]) -> int:
-    """Print the differences, and return whether one of them is above its tolerance."""
+    """Print the differences from the recorded steps; return 1 if a difference is above its tolerance, else 0."""
     limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
     status = 0
     for name, difference in check(onnx="--onnx" in words).items():

@@ -1,7 +1,8 @@
-"""The robot of this bundle in MuJoCo, driven by its policy: ``python simulate.py --seconds 20 --command 0.2 0 0``.
+"""Simulate the bundle's robot and policy in MuJoCo, as in ``python simulate.py --seconds 20 --command 0.2 0 0``.
 
 Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status is 1 if the
-robot fell. ``robot/scene.xml`` contains the training's robot on level ground; drives work as in training.
+robot fell. ``robot/scene.xml`` contains the robot of the training on level ground. The motor drives compute torques as
+in training.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from runner import Policy, array, projected_gravity
 
 HERE = Path(__file__).parent
 LAWS = ("implicit", "pd", "dc_motor")
-FALLEN = 0.5  # cosine of 60 degrees, the tilt of a fallen robot
+FALLEN = 0.5  # A robot counts as fallen above a tilt of 60 degrees, whose cosine is 0.5.
 
 
 class Robot:
     """The simulated robot: its readings, and drives that take targets.
 
-    ``scene`` is an MJCF with the robot, its drives as actuators named after the joints, and ground.
+    ``scene`` is an MJCF file with the ground, the robot, and one actuator per driven joint, named after the joint.
     """
 
     def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
@@ -43,12 +44,12 @@ class Robot:
         self.drives = [(drive, [driven[name] for name in drive["joint_names"]]) for drive in spec["actuators"]]
         for drive, _ in self.drives:
             if drive["law"] not in LAWS:
-                raise SystemExit(f"the drive '{drive['name']}' is a {drive['class']}, which is not simulated here")
+                raise SystemExit(f"simulate.py cannot simulate the drive '{drive['name']}', a {drive['class']}")
         if not spec["root"]["floating"]:
-            raise SystemExit("this robot stands on a fixed base, which is not simulated here")
+            raise SystemExit("simulate.py cannot simulate this robot, because its base is fixed")
         missing = [name for name in spec["readings"] if name.endswith(".lin_acc")]
         if missing:
-            raise SystemExit(f"this policy reads '{missing[0]}', which is not simulated here")
+            raise SystemExit(f"simulate.py cannot simulate the reading '{missing[0]}' of this policy")
         self.root = self.model.body(spec["root"]["body"])
         self.reset()
 
@@ -61,7 +62,7 @@ class Robot:
         mujoco.mj_forward(self.model, self.data)
 
     def readings(self, commands: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the readings that the policy needs."""
+        """Return the sensor readings and commands that the policy needs, by name."""
         data, effort = self.data, np.zeros(len(self.qpos))
         for drive, actuators in self.drives:
             effort[drive["joint_ids"]] = data.actuator_force[actuators]
@@ -70,7 +71,7 @@ class Robot:
         velocity = np.empty(3)
         mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
         return {
-            "base_ang_vel": data.qvel[3:6],  # MuJoCo's angular velocity of a free joint is in body axes.
+            "base_ang_vel": data.qvel[3:6],  # MuJoCo gives the angular velocity of a free joint in the body frame.
             "base_quat": data.qpos[3:7],
             "base_lin_vel": velocity + np.cross(data.qvel[3:6], self.root.ipos),
             "base_height": data.qpos[2:3],
@@ -82,7 +83,7 @@ class Robot:
         }
 
     def imu_readings(self) -> dict[str, np.ndarray]:
-        """Return the readings of the IMUs, without errors."""
+        """Return the readings of the IMUs, without sensor errors."""
         found: dict[str, np.ndarray] = {}
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -98,13 +99,13 @@ class Robot:
         return found
 
     def drive(self, targets: Mapping[str, np.ndarray]) -> None:
-        """Turn joint targets into MuJoCo controls, before each physics step."""
+        """Convert joint targets into MuJoCo controls; call this method before each physics step."""
         q, qd = self.data.qpos[self.qpos], self.data.qvel[self.qvel]
         for drive, actuators in self.drives:
             ids, limit = drive["joint_ids"], array(drive["effort_limit"], np.inf)
             kp, kd = array(drive["stiffness"]), array(drive["damping"])
             torque = kp * targets["position"][ids] + kd * targets["velocity"][ids] + targets["effort"][ids]
-            if drive["law"] != "implicit":  # MuJoCo's actuator subtracts kp q + kd qd and clips
+            if drive["law"] != "implicit":  # In implicit drives, MuJoCo computes the PD law.
                 torque = np.clip(torque - kp * q[ids] - kd * qd[ids], -limit, limit)
             if drive["law"] == "dc_motor":
                 stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
@@ -115,7 +116,7 @@ class Robot:
             self.data.ctrl[actuators] = torque
 
     def approached(self, name: str, asked: Any) -> np.ndarray:
-        """Return the command that approaches the requested command, at most as fast as in training."""
+        """Return the next command on the way to the requested command, with the acceleration limits of the training."""
         now = self.commands.setdefault(name, np.zeros(len(asked)))
         most = array(self.spec["command_accelerations"].get(name, [None] * len(asked)), np.inf) * self.spec["step_dt"]
         now += np.clip(np.asarray(asked) - now, -most, most)
@@ -136,7 +137,7 @@ class Robot:
 
 
 def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
-    """Return a text that names the parts of a command outside the ranges of the training."""
+    """Return one text for each command component that is outside the command range of the training."""
     if len(ranges) != len(command) or any(len(pair) != 2 for pair in ranges.values()):
         return []
     parts = zip(ranges.items(), command, strict=True)
@@ -145,7 +146,7 @@ def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
 
 
 def main() -> int:
-    """Simulate for ``seconds``, and print the tilt and height of the robot."""
+    """Simulate the robot for the option ``--seconds``, and print the robot's tilt and height."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="how long")
     parser.add_argument("--command", type=float, nargs="+", default=None, help="what is asked for; zeros by default")
