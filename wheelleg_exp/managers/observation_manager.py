@@ -76,7 +76,7 @@ class ObservationManager(Kept):
         return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:
-        """Return the slice of each term of a concatenated group; ValueError if a term has several slices."""
+        """Return the slice of each term of a concatenated group; raise ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
             raise ValueError(f"the histories of group '{group}' are ordered by step, so a term has several slices")

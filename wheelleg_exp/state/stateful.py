@@ -54,7 +54,7 @@ def made(value: Any, key: str | None = None) -> None:
 
 
 def save(value: Any) -> dict[str, Any]:
-    """Return the state of an object as tensors and plain values; ConfigError if an attribute cannot be saved."""
+    """Return the state of an object as tensors and plain values; raise ConfigError if an attribute cannot be saved."""
     if _BASE not in vars(value):
         made(value)
     base, key = vars(value)[_BASE]
