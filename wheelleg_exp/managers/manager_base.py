@@ -72,7 +72,7 @@ class ManagerTermBase(OfEnv, TermBase):
 
 @dataclass
 class Term(Kept):
-    """A bound term: The call is ``func(env, **params)`` for functions, and ``func(env)`` for term objects.
+    """A bound term, called as ``func(env, **params)`` for functions, and ``func(env)`` for term objects.
 
     Attributes:
         path: the config key of the term.

@@ -76,12 +76,10 @@ class ObservationManager(Kept):
         return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:
-        """Return, for each term, its slice of a concatenated observation; raise ValueError if a term has several slices."""
+        """Return each term's slice of a concatenated observation; raise ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(
-                f"the histories of the observation group '{group}' are ordered by step, so each term has several slices"
-            )
+            raise ValueError(f"the histories of group '{group}' are ordered by step, so each term has several slices")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
@@ -180,7 +178,7 @@ class ObservationManager(Kept):
         options = read_section(GroupOptions, node, path)
         terms = bind_terms("observations", f"{path}.terms", options.terms, env)
         if not terms:
-            raise ConfigError("the observation group has no terms", key=f"{path}.terms", expected="at least one term")
+            raise ConfigError("the group has no terms", key=f"{path}.terms", expected="at least one term")
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim

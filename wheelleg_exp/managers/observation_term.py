@@ -34,7 +34,7 @@ class Values:
 
 
 class ObservationTerm(Kept):
-    """One term of a group: Processing order: ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
+    """One observation term. The order is ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
     ``corrupt`` is the setting of the observation group that enables noise. A ``history_length`` of 0 means no history.
     """

@@ -47,7 +47,7 @@ class TensorForm:
     Attributes:
         rows: number of environments, N.
         dtype: type of the elements; None allows any real type.
-        width: The required width: None for the shape (N,), 0 for (N, width) with any constant width.
+        width: the required width, None for the shape (N,), 0 for (N, width) with any constant width.
         deep: whether a row may have further dimensions, as images do.
         what: description of one row.
     """

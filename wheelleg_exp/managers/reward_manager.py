@@ -45,7 +45,7 @@ class RewardManager(ManagerBase):
             self._read_weights()
 
     def compute(self, dt: float, skipped: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the reward (N,) of this step: The result is the ``sum over terms of value * weight * dt``.
+        """Return the reward (N,) of this step. The result is the ``sum over terms of value * weight * dt``.
 
         ``dt`` is the duration of the control step, s. The reward of the environments in the mask ``skipped`` (N,) bool
         is 0.

@@ -1,4 +1,4 @@
-"""The matching of names of ``isaaclab.utils.string``."""
+"""Functions of ``isaaclab.utils.string`` that match names with regular expressions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wheelleg_exp.sim.names import match_names
 def resolve_matching_names(
     keys: str | Sequence[str], list_of_strings: Sequence[str], preserve_order: bool = False
 ) -> tuple[list[int], list[str]]:
-    """Return indices and names that match expressions completely; ConfigError if an expression matches no name."""
+    """Return indices and names that match completely; raise ConfigError if an expression matches no name."""
     return match_names(keys, list_of_strings, what="name", preserve_order=preserve_order)
 
 
