@@ -166,7 +166,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset the environments ``env_ids`` (all by default) and return the observations of all environments.
+        """Reset the environments ``env_ids`` (by default all), and return the observations of all environments.
 
         The observations of all other environments do not change. A ``seed`` restarts all random streams. Commands are
         drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command even of an
@@ -235,7 +235,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return failed if skipped is None else failed & ~skipped
 
     def _end_episodes(self, reward_failed: torch.Tensor) -> torch.Tensor:
-        """End the episodes that failed; return the ids (n,) of the environments whose episode ended."""
+        """End the episodes of failed environments; return the ids (n,) of all environments whose episode ended."""
         needs_all = bool(self.observers or self.recorder_manager.active_terms or self.keep_final_obs)
         ended, failed = self._ended.ids(reward_failed, at_once=needs_all or self.autoreset != "same_step")
         self.extras.pop("non_finite", None)

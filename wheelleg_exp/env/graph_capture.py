@@ -5,8 +5,8 @@ call of the part runs the method. With graph capture, ``GraphCapture`` runs the 
 and from then on replays the recording.
 
 A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to find out which attributes
-the Python code of a part reads and writes. The contract for the objects that a part uses (terms, managers, robot, sensors)
-is:
+the Python code of a part reads and writes. The contract for the objects that a part uses (terms, managers, robot,
+sensors) is:
 
 - **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part may write to a buffer, or assign
   a new tensor of the same shape.
@@ -110,8 +110,7 @@ class CudaGraph:
     def _make(self) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
         for generator in self._generators:
-            # A CUDA graph accepts no subclass of Generator. graphsafe_get_state returns a plain Generator with the same
-            # state.
+            # A CUDA graph does not accept subclasses of Generator, so use graphsafe_get_state to get a plain Generator.
             graph.register_generator_state(generator.graphsafe_get_state())
         return graph
 

@@ -88,7 +88,7 @@ _SIZE_PX = (16, 4096)
 
 
 class Pictures:
-    """Renders environments one by one without changing their state.
+    """Renders images of environments one by one; their states do not change.
 
     Images have width x height pixels; the mode None means that no images are rendered.
     """

@@ -61,7 +61,7 @@ class CommandTermCfg:
 
 
 class ActionTerm(OfEnv, managers.ActionTerm):
-    """An action term with the constructor ``(cfg, env)``.
+    """Base class of action terms with Isaac Lab's constructor ``(cfg, env)``.
 
     A subclass defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` has the parameters from YAML;
     its class is the type annotation of ``cfg`` in the subclass's constructor.
@@ -74,7 +74,7 @@ class ActionTerm(OfEnv, managers.ActionTerm):
 
 
 class CommandTerm(OfEnv, managers.CommandTerm):
-    """A command term with the constructor ``(cfg, env)``; see ``ActionTerm``.
+    """Base class of command terms with Isaac Lab's constructor ``(cfg, env)``; see ``ActionTerm``.
 
     A subclass defines ``_resample_command``, ``_update_command``, and ``_update_metrics``, and fills ``metrics``: the
     log entries of the episodes that end, (N,) by name.

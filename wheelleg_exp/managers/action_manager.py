@@ -105,7 +105,7 @@ class ActionManager(ManagerBase):
         return sum(self.action_term_dim)
 
     def get_term(self, name: str) -> ActionTerm:
-        """Return an action term by name."""
+        """Return the action term with the given name."""
         self.get_term_cfg(name)
         return self._action_terms[name]
 

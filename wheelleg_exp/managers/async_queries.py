@@ -10,10 +10,10 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Finds the environments whose episode ended. Masks (N,) are copied to the host, which computes indices.
+    """Finds environments whose episode ended. Masks (N,) are copied to the host, which computes indices.
 
-    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, and ``ids`` waits for
-    them. A third mask is available later than the first two masks. On a GPU ``ids`` does not wait for the third mask
+    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, and ``ids`` waits for the
+    copies. A third mask is available later than the first two masks. On a GPU ``ids`` does not wait for the third mask
     unless the caller passes ``at_once``; ``late`` then returns the environments of the third mask.
 
     Attributes:
@@ -41,8 +41,8 @@ class AsyncMaskQuery:
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) is a third mask. Unless ``at_once`` is True, the environments of ``also_failed`` may be
-        missing here; ``late`` then returns them.
+        ``also_failed`` (N,) is a third mask of failed environments. Unless ``at_once`` is True, the environments of
+        ``also_failed`` may be missing here; ``late`` then returns them.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)

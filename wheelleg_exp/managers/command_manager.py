@@ -136,7 +136,7 @@ class CommandManager(ManagerBase):
             term.form = row_form(self._num_envs, env.device)
 
     def get_command(self, name: str) -> torch.Tensor:
-        """Return the current command of a term, (N, k)."""
+        """Return the current command of a command term, (N, k)."""
         found, term = self.get_term(name), self._terms[name]
         with term.blamed():
             command = found.command

@@ -178,7 +178,7 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Create the term object with ``make``.
+        """Create the term object with the function ``make``.
 
         With ``keeps_params``, each call of the term object receives the parameters, as in Isaac Lab.
         """
@@ -211,8 +211,8 @@ def bind_terms(
 ) -> dict[str, Term]:
     """Bind every term of a config section, in the order of the config; terms that are null are skipped.
 
-    ``kind`` is a key of ``terms.RESERVED``, and ``section`` is a config key such as ``env.rewards``. Without
-    ``instantiate``, call ``instantiate_term`` later to make the term objects.
+    ``kind`` is a key of ``terms.RESERVED``, and ``section`` is a config key such as ``env.rewards``. If ``instantiate``
+    is False, call ``instantiate_term`` later to make the term objects.
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
@@ -249,7 +249,7 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Create the object of a class term, and store the settings of every term. Functions are used unchanged."""
+    """If the term is a class, create its object; store the settings of every term. Functions are used unchanged."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
@@ -309,7 +309,7 @@ def _built(value: Any, path: str) -> Any:
 
 
 class ManagerBase(OfEnv, Kept):
-    """A manager of the terms of one section of the config.
+    """Base class of managers; a manager owns the terms of one config section.
 
     Attributes:
         saved_tensors: attributes that are state, by their key in the state dict.

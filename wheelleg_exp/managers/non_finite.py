@@ -103,7 +103,7 @@ def note_observations(env: Env) -> None:
 
 
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
-    """Raise SimulationFailure if observations are NaN or inf.
+    """Raise SimulationFailure if observations contain NaN or inf.
 
     The error names the first observation term with NaN or inf. ``only`` (N,) bool selects environments. ``is_noted``
     means that ``note_observations`` was called for the present observations.

@@ -160,7 +160,7 @@ class ObservationTerm(Kept):
         return value
 
     def shown(self, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, ...) in the shape of the observation."""
+        """Reshape a history (N, H, ...) to the shape of the observation."""
         return history.flatten(1) if self._flatten else history
 
     def parts(self) -> dict[str, Any]:
@@ -270,7 +270,7 @@ class GroupLayout:
         self._dim += self._dim >= 0  # skip the first dimension of a batch, the environments
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, ...) of one term in the shape that ``join`` expects."""
+        """Reshape a history (N, H, ...) of one term to the shape that ``join`` expects."""
         return history if self.by_time else term.shown(history)
 
     def join(self, values: dict[str, torch.Tensor]) -> Group:

@@ -23,7 +23,7 @@ _FIRST_ROOM = 64  # rows
 
 
 class Rows:
-    """The rows (N, …) of one recorded quantity. A row is deleted once it belongs to no current episode."""
+    """Stores the rows (N, …) of one recorded quantity. A row is deleted once it belongs to no current episode."""
 
     def __init__(self, num_envs: int) -> None:
         self._num_envs = num_envs
@@ -135,7 +135,7 @@ class RecorderTerm(TermBase):
 
 
 class RecorderManager(ManagerBase):
-    """Splits recorded rows into episodes, and returns the finished episodes to the writer of the dataset.
+    """Splits recorded rows into episodes, and passes finished episodes to the writer of the dataset.
 
     A dataset holds complete episodes. If a state was loaded during an episode, the episode is omitted, because its
     start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and without

@@ -97,14 +97,14 @@ class RowHistory:
 
 
 class RowHistoryPart:
-    """The history of one term in a ``RowHistory``. The state dict has the same form as that of a ``HistoryBuffer``."""
+    """One term's history in a ``RowHistory``. The state dict has the same form as that of a ``HistoryBuffer``."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
         self._row, self._span, self._width = row, span, width
 
     @property
     def samples(self) -> torch.Tensor:
-        """The last samples, oldest first, (N, H, width)."""
+        """The last samples of the term, oldest first, (N, H, width)."""
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:

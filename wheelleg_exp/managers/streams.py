@@ -54,7 +54,7 @@ class Streams(Kept):
 
 @contextmanager
 def lent(generator: torch.Generator | None) -> Iterator[None]:
-    """Use a random stream as torch's global generator of the stream's device, within the ``with`` block."""
+    """Inside the ``with`` block, use a random stream as torch's global generator on the stream's device."""
     if generator is None:
         yield
         return

@@ -135,7 +135,7 @@ def member(scene: Scene, name: str, key: str) -> Any:
 
 
 def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
-    """Return indices as a tensor or a slice. Negative indices count from the end (``count``)."""
+    """Return ids as a tensor or a slice. Negative indices count from the end (``count``)."""
     if isinstance(ids, (torch.Tensor, slice)):
         return ids
     return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
@@ -154,7 +154,7 @@ def _listed(names: str | Sequence[str]) -> list[str]:
 def bounds(
     ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return lower and upper bounds (k,) of named ranges on a device; the range of a missing axis is (0, 0)."""
+    """Return the lower and upper bounds (k,) of named ranges as tensors; a missing axis has the range (0, 0)."""
     require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
     pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
     return pairs[:, 0], pairs[:, 1]

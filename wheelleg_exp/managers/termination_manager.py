@@ -46,7 +46,7 @@ class TerminationManager(ManagerBase):
 
     @property
     def dones(self) -> torch.Tensor:
-        """Mask of the environments whose episode ended in this step, (N,) bool."""
+        """Mask (N,) of the environments whose episode ended in this step."""
         return self.terminated | self.time_outs
 
     def get_term(self, name: str) -> torch.Tensor:

@@ -88,7 +88,7 @@ def base_height_l2(
 ) -> torch.Tensor:
     """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
 
-    With a ray caster the target height is relative to the mean height of the ray hits. As in Isaac Lab, the value is
+    With a ray caster, the target height is relative to the mean height of the ray hits. As in Isaac Lab, the value is
     infinite if one ray has no hit. ``base_height_over_ground_l2`` needs no sensor.
     """
     height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
@@ -268,7 +268,7 @@ def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Te
 def stand_still_joint_deviation_l1(
     env: Env, command_name: str, command_threshold: NonNegative = 0.06, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-    """``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), otherwise 0."""
+    """Value of ``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), else 0."""
     speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1)
     return joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
 
@@ -375,7 +375,7 @@ def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg)
 
 
 def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
-    """Raise ConfigError at ``key`` unless sensor and robot values (N, k, ...) have the same number of bodies, k."""
+    """Raise ConfigError with ``key`` unless sensor and robot values (N, k, ...) have the same number of bodies, k."""
     if first.shape[1] != second.shape[1]:
         message = f"there are {first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot"
         raise ConfigError(message, key=key, expected="the same number, in the order of sensor_cfg.body_names")
@@ -391,7 +391,7 @@ def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
     """Sum of (air time - ``threshold``), s, over all feet that touched down in this control step.
 
-    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air and contact times.
     """
     sensor = env.scene.contact_sensor(sensor_cfg.name)
     landed = picked(sensor.compute_first_contact(env.step_dt), sensor_cfg.body_ids)
@@ -404,7 +404,7 @@ def feet_air_time_positive_biped(
 ) -> torch.Tensor:
     """While one foot is in contact: the time since the last touchdown or lift-off, s, at most ``threshold``.
 
-    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air and contact times.
     """
     data = env.scene.contact_sensor(sensor_cfg.name).data
     contact = picked(data.current_contact_time, sensor_cfg.body_ids)
@@ -454,8 +454,8 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
     """Variance of the feet's last air times plus variance of the feet's last contact times, s^2.
 
-    Air and contact times are clipped to ``max_time`` (s). Not in Isaac Lab's library. The term penalises an uneven
-    gait. The contact sensor must track air times.
+    Air and contact times are clipped to ``max_time`` (s). Not in Isaac Lab's library. The reward term penalises an
+    uneven gait. The contact sensor must track air and contact times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
     flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)

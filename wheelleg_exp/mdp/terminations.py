@@ -31,7 +31,7 @@ def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> t
 def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if the root is tilted by more than ``limit_angle`` (rad) from upright.
 
-    Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always terminates.
+    Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always ends its episode.
     """
     upright = -env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]
     return torch.acos(upright.clamp(-1.0, 1.0)) > limit_angle

@@ -1,4 +1,4 @@
-"""The engine ``mujoco``: MuJoCo's batch of simulations on the CPU, in float64."""
+"""The engine ``mujoco``: The engine that simulates on the CPU, in float64, with MuJoCo's batch of simulations."""
 
 from __future__ import annotations
 
@@ -108,8 +108,8 @@ class BatchEngine(Engine):
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        # MuJoCo detects NaN and huge values at the start of the next step, silently resets the simulation to the
-        # model's defaults, and increments a warning counter. Therefore also check the values after the last step here.
+        # MuJoCo detects NaN and huge values only at the start of the next step, and then resets the simulation.
+        # Each such reset increments a warning counter. Therefore also check the values after the last step here.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:

@@ -40,7 +40,7 @@ class DelayBuffer:
         return self._read(self._pushed(sample))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Drop the samples of the environments ``env_ids`` and draw new lags."""
+        """Drop the stored samples of the environments ``env_ids``, and draw new lags for them."""
         low, high = self._range
         size, device = (len(env_ids),), self.lag.device
         self.lag[env_ids] = torch.randint(low, high + 1, size, generator=self._generator, device=device)
@@ -83,7 +83,7 @@ class TargetDelay(Stateful):
         self.targets = JointTargets(*self._seen.unbind(dim=1))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Drop the joint targets of the environments ``env_ids`` and draw new lags."""
+        """Drop the stored joint targets of the environments ``env_ids``, and draw new lags for them."""
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:

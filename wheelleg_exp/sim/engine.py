@@ -59,7 +59,7 @@ class Engine(Kept, ABC):
     def view(self, name: str) -> torch.Tensor:
         """Return a view (N, ...) of an MjData field, which always shows the present values.
 
-        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written. All other fields are outputs
+        Code may write state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All other fields are outputs
         of the last physics step. Read an output before the next call of ``forward``, which overwrites the output.
         """
 
@@ -113,7 +113,7 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def unstable(self) -> torch.Tensor:
-        """Return which simulations, (N,) bool, have had NaN or huge values since their reset."""
+        """Return a mask (N,) of the simulations that have had NaN or huge values since their reset."""
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
         """Return a sum that is finite only if all positions and velocities of the simulations ``rows`` are finite."""

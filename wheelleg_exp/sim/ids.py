@@ -35,7 +35,7 @@ def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> t
 
 
 def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
-    """Set the rows ``ids`` of values (N, ...) to a number.
+    """Set the rows ``ids`` of a tensor (N, ...) to a number.
 
     The assignment ``values[ids] = number`` would copy from the host, which a CUDA graph cannot do.
     """

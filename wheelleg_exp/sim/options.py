@@ -39,7 +39,7 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
-    """Options of the engine and the solver (``env.sim``), named as in MuJoCo.
+    """Options of the engine and the solver (``env.sim``); the solver options have MuJoCo's names.
 
     Attributes:
         engine: ``mujoco`` simulates on the CPU and is bit-reproducible; ``warp`` is mujoco-warp in single precision on

@@ -1,4 +1,4 @@
-"""The robot's state under Isaac Lab's names.
+"""The robot's state, with the attribute names of Isaac Lab.
 
 Each quantity is computed when it is first read after a change of the robot's state.
 """

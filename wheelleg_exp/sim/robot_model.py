@@ -78,7 +78,7 @@ class RobotLayout(Kept):
 
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
-    """Return joint limits (..., 2) scaled by ``factor`` about their middle; infinite limits are unchanged."""
+    """Scale joint limits (..., 2) by ``factor`` about the middle of their range; infinite limits do not change."""
     middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
     half = half * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)

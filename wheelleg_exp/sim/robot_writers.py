@@ -123,7 +123,7 @@ class RobotWriters(Kept):
     write_root_link_pose_to_sim = write_root_pose_to_sim
 
     def write_root_com_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the pose (n, 7) of the root body's centre of mass and principal axes."""
+        """Set the root's pose (n, 7), given as the pose of the root body's centre of mass and principal axes."""
         ids = self._rows(env_ids)
         axes = self.data.body_com_quat_b[ids, 0]
         quat = rotation.quat_mul(root_pose[:, 3:7], axes * axes.new_tensor([1.0, -1.0, -1.0, -1.0]))

@@ -183,7 +183,7 @@ class Scene(Kept):
         self.robot.write_data_to_sim()
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations, (N,) bool, have NaN or huge values after the last physics step."""
+        """Return a mask (N,) of the simulations that have NaN or huge values after the last physics step."""
         if self._unstable is None:
             self._unstable = self.sim.unstable()
         return self._unstable

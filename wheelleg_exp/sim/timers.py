@@ -16,8 +16,8 @@ _SLACK = 1e-3  # s
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
     """Return whether a timer may have expired; always True on a CPU, where reading the timers is cheap.
 
-    Call this function once per step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since the last
-    call, s. Code that sets a timer to less than ``least`` seconds must call ``forget``.
+    Call this function once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since
+    the last call, s. Code that sets a timer to less than ``least`` seconds must call ``forget``.
     """
     if not timers.is_cuda:
         return True

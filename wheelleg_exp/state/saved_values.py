@@ -81,7 +81,7 @@ class Reference:
 
 
 def snapshot(value: Any, path: str) -> Any:
-    """Return a copy of a value as tensors, numbers, tagged dictionaries, and references, or raise Unsaveable."""
+    """Copy a value to tensors, numbers, tagged dictionaries, and references; raise Unsaveable if that fails."""
     if type(value) in PLAIN:
         return value
     if isinstance(value, torch.Tensor):
@@ -206,7 +206,7 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 
 
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
-    """Return a value from ``snapshot`` in a form that a checkpoint can store.
+    """Convert a result of ``snapshot`` to a value that a checkpoint can store.
 
     ``before`` is the value that the attribute had when its owner was made. Loading a checkpoint writes into a new
     object that was made from the same config. So Unsaveable is raised for a reference that was bound or changed after

@@ -12,8 +12,7 @@ import torch
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
     """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
 
-    Tensors of the shape (N, ...) have one row for each environment. Values without one row per environment are taken from
-    ``after``.
+    Tensors (N, ...) have one row per environment. Values without one row per environment are taken from ``after``.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}

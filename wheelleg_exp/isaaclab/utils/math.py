@@ -110,7 +110,7 @@ def quat_box_plus(q: torch.Tensor, delta: torch.Tensor, eps: float = SMALL) -> t
 
 
 def quat_error_magnitude(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
-    """Return the angle between rotations, (...)."""
+    """Return the angles (...) between pairs of rotations."""
     return torch.linalg.vector_norm(quat_box_minus(q1, q2), dim=-1)
 
 
@@ -190,14 +190,14 @@ def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
 def combine_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t12: torch.Tensor | None = None, q12: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pose of frame 2 in frame 0 from the poses of 1 in 0 and 2 in 1."""
+    """Return the pose of frame 2 in frame 0, given the poses of frame 1 in frame 0 and of frame 2 in frame 1."""
     return t01 if t12 is None else t01 + quat_apply(q01, t12), q01 if q12 is None else quat_mul(q01, q12)
 
 
 def subtract_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t02: torch.Tensor | None = None, q02: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pose of frame 2 in frame 1 from the poses of 1 in 0 and 2 in 0."""
+    """Return the pose of frame 2 in frame 1, given the poses of frame 1 and of frame 2 in frame 0."""
     back = quat_inv(q01)
     return quat_apply(back, -t01 if t02 is None else t02 - t01), back if q02 is None else quat_mul(back, q02)
 
@@ -234,7 +234,7 @@ def apply_delta_pose(
 
 
 def is_identity_pose(pos: torch.Tensor, rot: torch.Tensor) -> bool:
-    """Return whether all poses are the identity."""
+    """Return whether all given poses are the identity pose."""
     identity = rot.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(rot)
     return torch.allclose(pos, torch.zeros_like(pos)) and torch.allclose(rot, identity)
 
@@ -242,7 +242,7 @@ def is_identity_pose(pos: torch.Tensor, rot: torch.Tensor) -> bool:
 def transform_points(
     points: torch.Tensor, pos: torch.Tensor | None = None, quat: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Rotate, then translate points (P, 3) or (N, P, 3) by poses (3,), (4,) or (N, 3), (N, 4)."""
+    """Rotate, then translate points (P, 3) or (N, P, 3) by the quaternions and positions of poses."""
     batch = points.unsqueeze(0) if points.dim() == 2 else points
     if quat is not None:
         batch = quat_apply(quat.reshape(-1, 1, 4), batch)
@@ -348,7 +348,7 @@ def _shape(size: Size) -> tuple[int, ...]:
 
 
 def sample_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return uniform draws on [lower, upper)."""
+    """Return uniform random numbers on [lower, upper)."""
     return torch.rand(_shape(size), device=device) * (upper - lower) + lower
 
 

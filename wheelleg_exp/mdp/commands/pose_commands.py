@@ -192,8 +192,8 @@ class UniformPoseCommand(RangedCommand):
         distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
-        # The dot product of two unit quaternions is cos(angle / 2). The sine makes the result accurate for small
-        # angles, where the cosine hardly changes with the angle.
+        # The dot product of two unit quaternions is cos(angle / 2).
+        # Use the sine too, because the cosine hardly changes with the angle at small angles.
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))

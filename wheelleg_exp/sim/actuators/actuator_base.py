@@ -37,7 +37,8 @@ class ActuatorBase(Stateful):
 
     A checkpoint saves the tensors that the method ``state`` returns. Each parameter of an actuator model is one number
     for all joints, or a mapping from regular expressions of joint names to numbers. Once the simulations run,
-    ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the group).
+    ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors of the shape (N, joints of the
+    group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
@@ -78,7 +79,7 @@ class ActuatorBase(Stateful):
         """
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
-        """Find the actuator group's joints and make a tensor of each parameter; ConfigError if a joint has no value."""
+        """Find the actuator group's joints, and make parameter tensors; raise ConfigError if a joint has no value."""
         expressions = f"{key}.joint_names_expr"
         indices, self.joint_names = match_names(self.joint_names_expr, joint_names, key=expressions, what="joint")
         self.joint_ids = torch.tensor(indices, device=device)
@@ -151,7 +152,7 @@ class ActuatorBase(Stateful):
         raise NotImplementedError("an actuator model must define the method 'control(targets, data)'")
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the unclipped torque (N, joints of the group) that acted at the start of the last step, N·m."""
+        """Return the unclipped torque, N·m, (N, joints of the group), at the start of the last physics step."""
         raise NotImplementedError("an actuator model must define the method 'computed_torque(targets, data)'")
 
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:

@@ -112,7 +112,7 @@ def opengl_quat(offset: Offset) -> list[float]:
 
 
 def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> torch.Tensor:
-    """Replace distances beyond ``farthest``, m, by inf, 0, or ``farthest``, as Isaac Lab does."""
+    """Replace distances greater than ``farthest``, m, by inf, 0, or ``farthest``, as in Isaac Lab."""
     instead = {"none": math.inf, "zero": 0.0, "max": farthest}[behavior]
     return depth.masked_fill(depth > farthest, instead)
 

@@ -30,7 +30,7 @@ NORMAL = ("found", "force", "normal")  # The contact fields from which the norma
 
 
 def width(fields: tuple[str, ...]) -> int:
-    """Return the number of values that a contact sensor reports for one contact."""
+    """Return how many numbers a contact sensor reports for one contact."""
     return sum(_SIZES[name] for name in fields)
 
 
@@ -338,12 +338,12 @@ class ContactSensor(SensorBase):
         return self._largest_norm
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
-        """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
+        """Return a mask (N, B) of the bodies that touched down within the last ``dt`` seconds."""
         time = self.data.current_contact_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
-        """Return which bodies (N, B) left the ground within the last ``dt`` seconds."""
+        """Return a mask (N, B) of the bodies that left the ground within the last ``dt`` seconds."""
         time = self.data.current_air_time
         return (time > 0.0) & (time < dt + 1e-8)
 

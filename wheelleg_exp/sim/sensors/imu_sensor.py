@@ -34,7 +34,7 @@ class ImuNoise(Kept):
 
 
 class ImuData(Kept):
-    """Measurements of an IMU under Isaac Lab's names; the suffix ``_b`` means the axes of the IMU.
+    """Measurements of an IMU, with Isaac Lab's attribute names; the suffix ``_b`` means the axes of the IMU.
 
     Attributes:
         pos_w: position, m, (N, 3).

@@ -25,7 +25,7 @@ _Axis = Literal["x", "y", "z"]
 
 
 class RayCasterData(Kept):
-    """Measurements of a ray caster under Isaac Lab's names.
+    """Measurements of a ray caster, with Isaac Lab's attribute names.
 
     Attributes:
         pos_w: position of the body with the drift of this episode, without the offset, m, (N, 3).
@@ -50,7 +50,7 @@ class RayCasterData(Kept):
 
 @relation(offset_fits)
 class RayCaster(LazySensor):
-    """A sensor that casts rays from a body; only the ground stops the rays. The rays are cast when ``data`` is read.
+    """A sensor that casts rays from a body; only the ground stops the rays. Rays are cast when ``data`` is read.
 
     Args:
         body_name: expression of the body.

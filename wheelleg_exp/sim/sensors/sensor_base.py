@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 class SensorBase(Kept):
     """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
-    A subclass adds its elements to the spec, connects to the running simulations, and measures in ``measure``. The
-    tensors of a sensor have the shape (N, ...) and are on the engine's device. The method ``state_dict`` must return
-    everything that later measurements depend on. The scene sets ``name`` and ``terrain`` before it calls ``add_to``.
-    The attribute names of ``data`` are those of Isaac Lab's sensor data.
+    A subclass adds its elements to the MuJoCo spec, connects to the running simulations, and measures in the method
+    ``measure``. The tensors of a sensor have the shape (N, ...) and are on the engine's device. The method
+    ``state_dict`` must return everything that later measurements depend on. The scene sets ``name`` and ``terrain``
+    before it calls ``add_to``. The attribute names of ``data`` are those of Isaac Lab's sensor data.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
@@ -135,8 +135,9 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 class LazySensor(SensorBase):
     """A sensor that measures only when ``data`` is read, at most once per state; ``sense`` writes to ``_data``.
 
-    A sensor with an update period stores its measurements. Such a sensor measures at the reset and at the first physics
-    step after each period, even if ``data`` is not read. Reading ``data`` never changes the results of a lazy sensor.
+    A lazy sensor with an update period stores its measurements. Such a sensor measures at the reset and at the first
+    physics step after each period, even if ``data`` is not read. Reading ``data`` never changes the results of a lazy
+    sensor.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.

@@ -13,8 +13,8 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-# Do not import annotations from __future__ here: user-defined dataclasses in other modules inherit the annotations of
-# this module, which must be types, not strings.
+# Do not import annotations from __future__ here, because annotations must be types, not strings.
+# User-defined dataclasses in other modules inherit the annotations of this module.
 _POINTS = 10  # number of points on each ring around a patch whose heights are compared, as in Isaac Lab
 _ROUNDS = 1000
 

@@ -154,7 +154,8 @@ class HeightField(_FromFile):
 class Mesh(_FromFile):
     """Terrain from a mesh in world coordinates; rays from above convert the mesh to a height field.
 
-    In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces below an overhang are lost.
+    In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces of the mesh below an overhang
+    are lost.
 
     Args:
         file: a ``.obj`` or ``.stl`` file in the world's axes, relative to an asset folder.
