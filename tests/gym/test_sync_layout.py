@@ -188,7 +188,7 @@ def test_an_invalid_mask_is_refused_as_by_gymnasium(mask, error):
 
 def test_without_autoreset_a_seed_for_some_environments_and_a_step_after_the_end_are_refused():
     env = gymnasium.make_vec(ENV_ID, num_envs=2, overrides=["env.episode_length_s=0.05"], autoreset_mode="disabled")
-    with pytest.raises(ValueError, match="a seed is for a reset of all"):
+    with pytest.raises(ValueError, match="give a seed only if all environments are reset"):
         env.reset(seed=0, options={"reset_mask": np.array([True, False])})
     env.reset(seed=0)
     for _ in range(3):

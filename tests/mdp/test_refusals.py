@@ -78,7 +78,7 @@ ROWS = [
     _normal("ranges.lin_vel_x", lin_vel_x=[0.0, 1.0]),
     _normal("ranges.mean_vel", mean_vel=None),
     _command("UniformPose2dCommand", "ranges.heading", simple_heading=False, ranges={"pos_x": [0.0, 1.0]}),
-    _command("TerrainBasedPose2dCommand", "", "no flat patches 'target'", simple_heading=True, ranges={}),
+    _command("TerrainBasedPose2dCommand", "", "no flat patches named 'target'", simple_heading=True, ranges={}),
     _command("UniformPoseCommand", "body_name", "left_wheel, right_wheel", body_name=".*_wheel", ranges=BODY_RANGES),
     _command("UniformBasePoseCommand", "ranges.height", ranges={"pitch": [0.0, 0.1]}),
     _action("JointPositionToLimitsAction", "joint_names", "left_axle, right_axle has no limits", joint_names=[".*"]),

@@ -97,7 +97,7 @@ def line_of(name, method, below=0):
 SENSOR, TERRAIN, DRIVE = "env.scene.sensors.mine", "env.scene.terrain", "env.robot.actuators.hips"
 RAYS = f"{SENSOR}.pattern"
 ROWS = [
-    (SENSOR, "NoMeasure", SimulationFailure, "needs 'measure(due, elapsed)'", ("", 0)),
+    (SENSOR, "NoMeasure", SimulationFailure, "must define the method 'measure(due, elapsed)'", ("", 0)),
     (SENSOR, "RaisesInMeasure", SimulationFailure, "RuntimeError: no signal", ("measure", 1)),
     (SENSOR, "RaisesInConnect", ConfigError, "RuntimeError: no signal", ("connect", 1)),
     (SENSOR, "NoSuper", ConfigError, "expected super().add_to(spec, name, robot) in it", ("add_to", 0)),

@@ -1,7 +1,8 @@
-"""Values that the parts of an environment's step read and write.
+"""Find the values that the parts of an environment's step read and write.
 
-``graph_capture`` uses this module to find out which values a recorded CUDA graph depends on, and which values it
-changes. A *slot* is an attribute, or an entry of a dictionary or list in an attribute (see ``state.object_graph``).
+The module ``graph_capture`` uses this module to find the values that a recorded CUDA graph depends on or changes. A
+*slot* is a place that holds a value: an attribute, or an entry of a dictionary or list in an attribute (see
+``state.object_graph``).
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ _MOST_KNOWN = 64  # numbered combinations of settings
 
 
 class Values:
-    """The slots of an environment's objects that parts of the environment's step read or write.
+    """All values of an environment's objects that the captured parts of its step can read or write.
 
-    Plain values that a part changes are *flags*, all other plain values are *settings*. The values of the flags are
-    compared before each part runs. Because a comparison of all settings takes longer, the settings are compared only
-    after code has run that may have changed a setting.
+    Numbers and texts that a part of the step changes are *flags*; all other numbers and texts are *settings*. Before
+    each part of the step runs, the flags are compared with their recorded values. Because comparing all settings takes
+    longer, settings are compared only after code has run that may have changed a setting.
 
     Attributes:
         is_checked: whether no code has run since the last comparison that may have changed a setting.
@@ -52,7 +53,7 @@ class Values:
         self._number, self._numbers = -1, itertools.count()
 
     def objects(self) -> Iterator[Any]:
-        """Yield every object whose attributes a part may read or write."""
+        """Yield every object whose attributes a captured part of the step may read or write."""
 
         def children(name: str, node: Any) -> Iterator[tuple[str, Any]]:
             return iter(()) if _runs_outside(node) else parts(name, node)
@@ -60,18 +61,18 @@ class Values:
         return (node for _, node in walk([("env", self._root)], children) if not _runs_outside(node))
 
     def slots(self) -> Iterator[Slot]:
-        """Yield every slot of the objects that a part may read or write."""
+        """Yield every slot (attribute or entry) that a captured part of the step may read or write."""
         return (slot for node in self.objects() for slot in slots(node))
 
     def key(self) -> Key:
-        """Return the number of the present combination of settings, and the present flags."""
+        """Return the identification number of the present combination of settings, and the present flags."""
         if not self.is_checked:
             self._check()
             self.is_checked = True
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Treat slots as flags from now on; return whether a slot is a new flag."""
+        """Treat the given slots as flags from now on; return whether at least one of them is a new flag."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -81,7 +82,7 @@ class Values:
         return bool(new)
 
     def difference(self, before: Key, now: Key) -> str:
-        """Return the name of a setting or a flag that differs between two keys."""
+        """Return the name of a setting or flag whose values differ between two keys."""
         (old, old_flags), (new, new_flags) = before, now
         known = {number: settings for settings, number in self._known.items()}
         pairs = [*zip(self._settings, known.get(old, ()), known.get(new, ()), strict=False)]
@@ -89,11 +90,11 @@ class Values:
         return next((str(slot) for slot, was, value in pairs if was != value), "the set of attributes")
 
     def _check(self) -> None:
-        """Compare all settings with their values in the last comparison, and number each new combination of values.
+        """Compare all settings with their last values, and give each new combination of values a number.
 
-        Most comparisons find no change, so the comparison must be fast. The settings are read through the containers in
-        ``_places`` and compared by identity. Only if a container was replaced or changed its size, the graph of objects
-        is walked again.
+        Most comparisons of settings find no change, so the comparison must be fast. The settings are read through the
+        containers in ``_places`` and compared by identity. The graph of objects is walked again only if a container was
+        replaced or changed its size.
         """
         before = self._present
         if not self._places or any([len(one) != size for one, size in self._sizes]):
@@ -112,7 +113,7 @@ class Values:
         self._present = now
         settings = tuple([kind_of(value) for value in now if not _is_container(value)])
         self._number = self._known.pop(settings, next(self._numbers))
-        # The dictionary ``_known`` is ordered by the last use, so its first combination is the oldest.
+        # The dictionary ``_known`` is ordered by last use, so its first entry is the least recently used.
         self._known[settings] = self._number
         if len(self._known) > _MOST_KNOWN:
             del self._known[next(iter(self._known))]
@@ -134,7 +135,7 @@ class Values:
         self._sizes = [(one, len(one)) for one in sized]
 
     def move_rebound(self, found: Sequence[Slot]) -> None:
-        """Copy each tensor that a part rebinds into static memory, which all recordings share."""
+        """For each tensor that a part of the step rebinds, provide static memory that all recordings share."""
         moved = []
         with torch.inference_mode(False), torch.no_grad():
             for slot in (slot for slot in found if slot.id in self.rebound):
@@ -151,21 +152,21 @@ class Values:
                 slot.set(static)
 
     def undeclared(self) -> Iterator[tuple[tuple[int, str], tuple[str, Any]]]:
-        """Yield the values of terms that are neither a buffer nor a setting, by term and attribute."""
+        """Yield those values of terms that are neither a tensor nor a setting, by term and attribute."""
         for term in self.objects():
             if isinstance(term, TermBase):
                 for name, value in list(vars(term).items()):
                     yield (id(term), name), (f"'{name}' of {type(term).__name__}", _undeclared_in(value))
 
     def undeclared_changes(self, before: Mapping[Any, Any]) -> Iterator[str]:
-        """Yield the name of each undeclared value that has changed since ``undeclared`` returned ``before``."""
+        """Yield the name of each undeclared value that differs from ``before``, an earlier result of ``undeclared``."""
         for key, (name, now) in self.undeclared():
             if key in before and not same(now, before[key][1]):
                 yield name
 
 
 class TouchedMemory(TorchDispatchMode):
-    """Notes the memory that torch's operations read and write."""
+    """Records which memory torch's operations read and write."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -178,19 +179,20 @@ class TouchedMemory(TorchDispatchMode):
         return result
 
     def note(self, tree: Any) -> None:
-        """Note the memory of all tensors in a nested structure."""
+        """Record the memory addresses of all tensors in a nested structure."""
         leaves = (leaf for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
         self._memory |= {leaf.untyped_storage().data_ptr() for leaf in leaves}
 
     def has(self, tensor: torch.Tensor) -> bool:
-        """Return whether torch operations have read or written the memory of a tensor."""
+        """Return whether a torch operation has read or written the memory of a tensor."""
         return tensor.untyped_storage().data_ptr() in self._memory
 
 
 def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
-    """Copy tensors that were rebound back into the memory that their slots held before.
+    """Copy the tensors of rebound attributes back into the memory that these attributes held before.
 
-    A graph replays on fixed memory, so each slot must hold the same memory at the end of a recording as at its start.
+    A CUDA graph replays on fixed memory, so each attribute must hold the same memory at the end of a recording as at
+    the start.
     """
     moved = [(slot, static, now) for slot, static in tensors if (now := slot.get()) is not static and fits(now, static)]
     copy_tensors([(static, now) for _, static, now in moved])
@@ -199,10 +201,10 @@ def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
 
 
 def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
-    """Copy the second tensor of each pair into the first.
+    """Copy the second tensor of each pair into the first tensor.
 
-    The source of one copy can share memory with the target of another copy. Such sources are cloned first, so that no
-    copy reads memory that another copy has already overwritten.
+    The source tensor of one copy can share memory with the target tensor of another copy. Source tensors that share
+    memory with a target are cloned first, so that no copy reads overwritten memory.
     """
     targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
     copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
@@ -215,12 +217,12 @@ def _is_container(value: Any) -> bool:
 
 
 def _runs_outside(node: Any) -> bool:
-    """Return whether an object is a term of an event that no part calls; parts call only the events of resets."""
+    """Return whether an object is an event term that no captured part calls; captured parts call only reset events."""
     return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
 def _undeclared_in(value: Any) -> Any:
-    """Return a copy of everything in a value that is neither a tensor, nor plain, nor an object of this package."""
+    """Copy the contents of a value, except tensors, numbers, texts, and objects of this package."""
     if isinstance(value, torch.Tensor) or is_plain(value) or is_own(type(value)):
         return None
     if isinstance(value, (dict, list)):
@@ -233,17 +235,17 @@ def _undeclared_in(value: Any) -> Any:
 
 
 def form_of(value: Any) -> Any:
-    """Return shape, dtype, and device of a tensor; return any other value unchanged."""
+    """Return the shape, dtype, and device of a tensor; return a value of another type unchanged."""
     return (value.shape, value.dtype, value.device) if isinstance(value, torch.Tensor) else value
 
 
 def fits(value: Any, static: torch.Tensor) -> bool:
-    """Return whether a value is a tensor that can be copied into a static tensor."""
+    """Return whether a value is a tensor that can be copied into a given static tensor."""
     return isinstance(value, torch.Tensor) and form_of(value) == form_of(static)
 
 
 class _Identity:
-    """A dictionary key for one object. The key refers to the object, so that Python does not reuse the object's id."""
+    """A dictionary key for one object. The key refers to the object, so that Python does not reuse the id."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -268,14 +270,14 @@ def kind_of(value: Any) -> Any:
 
 
 def is_changed(was: Any, now: Any) -> bool:
-    """Return whether the value of an attribute has changed; a replaced tensor does not count as a change."""
+    """Return whether an attribute's value has changed; replacing a tensor does not count as a change."""
     if now is was or (isinstance(was, torch.Tensor) and isinstance(now, torch.Tensor)):
         return False
     return not isinstance(was, (dict, list)) and kind_of(was) != kind_of(now)
 
 
 def has_other_entries(now: Any, was: dict[Any, Any]) -> bool:
-    """Return whether the keys or the objects of a dictionary differ from those of its earlier copy ``was``."""
+    """Return whether the keys or the objects of a dictionary differ from its earlier copy ``was``."""
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
 
 

@@ -26,7 +26,7 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-# The state, the outputs, and the observations of one small robot need at least this number of bytes.
+# A lower bound of the memory per environment: state, outputs, and observations of one small robot, in bytes.
 _BYTES_PER_ENV = 10_000
 
 Observations = dict[str, Group]
@@ -35,11 +35,12 @@ StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[
 
 
 class ManagerBasedRLEnv(IsaacLabAttributes):
-    """N environments with nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
+    """N parallel environments with nine managers, in the style of Isaac Lab's ``ManagerBasedRLEnv``.
 
-    ``cfg`` is the composed ``env`` section, ``mjcf`` the robot's MJCF file, and ``seed`` the seed of all random
-    streams. ``step`` and ``reset`` call private methods in the order in which the file defines them. The decorators
-    ``captured_part`` and ``host_part`` have an effect on a GPU with ``env.sim.graph_step`` only; see ``graph_capture``.
+    ``cfg`` is the composed config section ``env``, ``mjcf`` is the robot's MJCF file, and ``seed`` sets all random
+    streams. ``step`` and ``reset`` call private methods in the order in which this file defines the methods. The
+    decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with ``env.sim.graph_step``; see
+    ``graph_capture``.
 
     Attributes:
         device: device of all tensors.
@@ -67,7 +68,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
         self.step_dt = self.physics_dt * self.decimation
         self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))
-        # The quotient is rounded first, because 5 s / (2 / 120 s) must be 300 steps, not 301.
+        # Round the quotient first, because 5 s / (2 / 120 s) must be 300 steps, not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
@@ -98,17 +99,17 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             *(self.command_manager, self.event_manager, self.termination_manager, self.recorder_manager),
         ]
         self._ended = AsyncMaskQuery(self.num_envs, self.device)
-        # Sensors other than contact sensors measure after a reset, and can change settings when they measure.
+        # Sensors other than contact sensors measure after a reset, which can change settings of the sensors.
         self._sensors_refresh = any(type(s).refresh is not ContactSensor.refresh for s in self.scene.sensors.values())
-        # With recorders nothing is captured, because recorders wait for the GPU in every step.
+        # With recorders, no CUDA graph is captured, because recorders wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
-        # EnvAttributes comes last, because it treats attributes that appear later as state of terms.
+        # Create EnvAttributes last, because EnvAttributes treats attributes that are added later as state of terms.
         self._attributes = EnvAttributes(self, self.managers, cfg)
 
     @property
     def managers(self) -> dict[str, Any]:
-        """The nine managers by the name of their config section."""
+        """The nine managers by the name of each manager's config section."""
         return {
             "scene": self.scene_manager,
             "events": self.event_manager,
@@ -122,16 +123,16 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         }
 
     def step(self, action: torch.Tensor) -> StepResult:
-        """Advance every environment by one control step in the order of Isaac Lab, with raw actions (N, A).
+        """Advance every environment by one control step with raw actions (N, A), in the order of Isaac Lab.
 
-        Terminations and rewards are computed from the new state. Environments whose episode ended are reset after the
-        rewards, so that the returned observation is the first of their next episode. Commands and interval events come
-        after the resets: the returned observation shows the effect of a push.
+        Terminations and rewards are computed from the state after the physics steps. Environments whose episode ended
+        are reset after the rewards. Their returned observation is therefore the first observation of the next episode.
+        Commands and interval events come after the resets: the returned observation shows the effect of a push.
 
-        Return observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. If the physics
-        or the reward of an environment is NaN or inf, its episode ends as terminated with reward 0, and
-        ``extras["non_finite"]`` names the term. Observations, or numbers that an event wrote, that are NaN or inf raise
-        SimulationFailure.
+        The method returns observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. If
+        the physics or the reward of an environment is NaN or inf, its episode ends as terminated with reward 0, and
+        ``extras["non_finite"]`` names the term. Raise SimulationFailure if an observation or a number that an event
+        wrote is NaN or inf.
         """
         skipped = self._skipped()
         self._act(action)
@@ -156,7 +157,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":
-            # In the modes next_step and disabled, failed environments still show their last state, which can be NaN.
+            # With autoreset next_step or disabled, failed environments still show their last state, which can be NaN.
             require_finite_observations(self, is_noted=True)
         ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
@@ -165,10 +166,10 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset the environments ``env_ids`` (all by default) and return the observations of all environments.
+        """Reset the environments ``env_ids`` (by default all), and return the observations of all environments.
 
-        The observations of environments without a reset do not change. A ``seed`` restarts all random streams. Commands
-        are drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command even of an
+        The observations of all other environments do not change. A ``seed`` restarts all random streams. Commands are
+        drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command even of an
         environment that is commanded to stand still.
         """
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
@@ -188,7 +189,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return observations, self.extras
 
     def _skipped(self) -> torch.Tensor | None:
-        """Return the environments (N,) bool that only reset in this step (``autoreset="next_step"``), or None."""
+        """Return a mask (N,) of the environments that only reset in this step (``autoreset="next_step"``), or None."""
         if self.autoreset != "next_step":
             return None
         return self.termination_manager.dones & (self.episode_length_buf > 0)
@@ -204,21 +205,21 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _update_and_act(self) -> None:
-        """Read the result of a physics step, and apply the same action again for the next one."""
+        """Read the result of a physics step, and apply the same action again for the next physics step."""
         self.scene.update()
         self.observation_manager.sample_between()
         self.action_manager.apply_action()
         self.scene.write_data_to_sim()
 
     def _find_ended(self, skipped: torch.Tensor | None) -> torch.Tensor:
-        """Find the environments (N,) bool whose episode ends, and start to copy the mask to the host."""
+        """Find the environments whose episode ends, and start to copy their mask (N,) to the host."""
         done, unstable = self._update_and_terminate(skipped)
         self._ended.start(done, unstable)
         return done
 
     @captured_part()
     def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Read the result of the last physics step; return done and failed environments, (N,) bool each."""
+        """Read the result of the last physics step; return the masks (N,) of done and of failed environments."""
         self.scene.update()
         self.episode_length_buf += 1
         done, unstable = self.termination_manager.compute(skipped), self.scene.unstable()
@@ -228,13 +229,13 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _compute_reward(self, skipped: torch.Tensor | None) -> torch.Tensor:
-        """Compute ``reward_buf``; return the environments (N,) bool whose reward is NaN or inf."""
+        """Compute ``reward_buf``; return a mask (N,) of the environments whose reward is NaN or inf."""
         self.reward_buf = self.reward_manager.compute(self.step_dt, skipped)
         failed = self.reward_manager.failed
         return failed if skipped is None else failed & ~skipped
 
     def _end_episodes(self, reward_failed: torch.Tensor) -> torch.Tensor:
-        """End the episodes that failed; return the ids (n,) of the environments whose episode ended."""
+        """End the episodes of failed environments; return the ids (n,) of all environments whose episode ended."""
         needs_all = bool(self.observers or self.recorder_manager.active_terms or self.keep_final_obs)
         ended, failed = self._ended.ids(reward_failed, at_once=needs_all or self.autoreset != "same_step")
         self.extras.pop("non_finite", None)
@@ -242,7 +243,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return ended
 
     def _end_failed(self, env_ids: torch.Tensor) -> None:
-        """End the episodes of environments whose physics or reward failed; report the terms and the state."""
+        """End the episodes of environments whose physics or reward is NaN or inf; report the terms and the state."""
         if len(env_ids):
             self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
             found = failures(self, env_ids)
@@ -258,7 +259,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def _reset_ended(self, ended: torch.Tensor) -> None:
         """Reset the environments ``ended`` (n,).
 
-        Also reset environments whose NaN reward the host detects only now.
+        Also reset environments whose NaN reward the host detected too late for the normal reset.
         """
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
@@ -268,17 +269,17 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        # The first query did not wait for the rewards, so a NaN reward can become known only in this second query.
+        # The first query did not wait for the rewards, so only this second query finds environments with NaN rewards.
         failed, not_reset = self._ended.late()
         self._end_failed(failed)
         if len(not_reset):
             log = self.extras.get("log") if self.extras["log_is_fresh"] else None
             self._reset_idx(not_reset)
-            # The log of episodes that ended normally has priority over the log of failed episodes.
+            # Prefer the log of episodes that ended normally to the log of failed episodes.
             self.extras["log"] = log or self.extras["log"]
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
-        # The curriculum runs first, because it needs the terminal state, which the reset events overwrite.
+        # Run the curriculum first, because the curriculum needs the terminal state, which reset events overwrite.
         self._run_curriculum(env_ids)
         self.command_manager.read_settings()
         self.extras["log"] = self._reset_rows(env_ids)
@@ -301,7 +302,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return log
 
     def _advance_commands(self) -> None:
-        """Advance the commands and the timers of interval events; draw commands whose time is up."""
+        """Advance the commands and the timers of interval events; draw new commands where their timer expired."""
         if self.command_manager.may_draw(self.step_dt):
             self._advance_and_draw()
         else:
@@ -330,12 +331,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @host_part
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
-        """Run the events of a user-defined mode, and update the quantities that are derived from the state."""
+        """Run the events of a user-defined mode, then update all quantities that are derived from the state."""
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that later steps depend on; ConfigError if a term holds state that cannot be saved."""
+        """Return all that later steps depend on; raise ConfigError if a term holds state that cannot be saved."""
         attributes = self._attributes.save()
         managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {
@@ -352,7 +353,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @host_part
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned, in an environment built from the same config."""
+        """Restore a state that ``state_dict`` returned, in an environment that was built from the same config."""
         saved = {name: part if name == "streams" else on_device(part, self.device) for name, part in saved.items()}
         self.seed = saved["seed"]
         self.common_step_counter = saved["common_step_counter"]

@@ -1,4 +1,4 @@
-"""Save attributes that terms put on the environment, and reject state that terms hold anywhere else."""
+"""Save the attributes that terms add to the environment, and reject state that terms store anywhere else."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
-# The environment itself or its caller changes the attributes in this list, so they are not state of terms.
+# Attributes that the environment itself or its caller changes, and that therefore are not state of terms.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 
 
 class EnvAttributes:
-    """Saves state that terms put on the environment, and rejects state that terms put anywhere else.
+    """Saves the attributes that terms add to the environment, and rejects state that terms store anywhere else.
 
-    The constructor raises ConfigError if a term holds state that cannot be saved, or has written to the compiled model.
+    Raise ConfigError if a term holds state that cannot be saved, or has written to the compiled model.
     """
 
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
@@ -42,9 +42,9 @@ class EnvAttributes:
         self._plain = {name: item for name, item in vars(env).items() if _is_plain(name, item)}
 
     def save(self) -> dict[str, Any]:
-        """Return the attributes that terms added to the environment or changed there.
+        """Return the attributes of the environment that terms have added or changed.
 
-        State that a term holds outside itself and the environment raises ConfigError.
+        Raise ConfigError if a term holds state outside itself and the environment.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()
@@ -76,7 +76,7 @@ def _is_plain(name: str, item: Any) -> bool:
 
 
 def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
-    """Return the objects whose attributes are their state, by config key."""
+    """Return all objects whose attributes are saved as their state, by config key."""
     found: dict[str, Any] = {term.path: term.stateful for term in terms if term.stateful is not None}
     found |= {f"env.robot.actuators.{name}": actuator for name, actuator in env.scene.robot.actuators.items()}
     manager = env.observation_manager

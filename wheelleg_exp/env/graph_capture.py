@@ -1,23 +1,24 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
-``captured_part`` marks a method of the environment as a part. Without graph capture, each call runs the method. With
-graph capture, ``GraphCapture`` runs the part a few times, records it, and from then on replays the recording.
+The decorator ``captured_part`` marks a method of the environment as a part of the step. Without graph capture, each
+call of the part runs the method. With graph capture, ``GraphCapture`` runs the part a few times, records a CUDA graph,
+and from then on replays the recording.
 
-A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to know which attributes the
-Python code of a part reads and writes. The contract for the objects that a part uses (terms, managers, robot, sensors)
-is:
+A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to find out which attributes
+the Python code of a part reads and writes. The contract for the objects that a part uses (terms, managers, robot,
+sensors) is:
 
-- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part may write to them or rebind them
-  to a new tensor of the same shape.
-- **Settings** are attributes that hold a number, a text, None, or a tuple. If one changes between two parts, the part
-  runs with the new value: each combination of settings that occurs often has its own recording.
-- A part may set such an attribute as well (for example a flag), but the new value must follow from the old values.
-- Everything else is undeclared: a number that a part counts up, and a list that grows, a deque, a tuple of tensors, a
-  module, or a foreign object that a part changes. A part that has undeclared state or waits for the GPU runs without a
-  graph. A warning names the reason.
+- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part may write to a buffer, or assign
+  a new tensor of the same shape.
+- **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, the next part runs
+  with the new value. Each combination of settings that occurs often has its own recording.
+- A part may also change a setting (for example a flag), but its new value must follow from the old values.
+- All other values that a part changes are undeclared: a number that counts up, a growing list, a deque, a tuple of
+  tensors, a module, or a foreign object. A part that has undeclared state or waits for the GPU runs without a graph. A
+  warning names the reason.
 
-A part runs twice before it is recorded. In the second run, the capture compares all attributes before the run with
-those after the run.
+A part runs twice before it is recorded. In the second run, the capture compares all attributes before and after the
+run.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.state import cloned
 from wheelleg_exp.state.object_graph import Slot, is_plain
 
-# After two runs, lazily created tensors exist and libraries have allocated their workspaces.
+# The number of runs after which lazily created tensors exist and libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
-# The most recordings of one part. A reset needs one recording for each number of environments.
+# The largest number of recordings of one part. A reset needs a recording for each number of environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# The number of last runs of a part in which the capture counts how often a combination of values occurred.
+# The capture counts how often a combination of values occurred in this number of past runs of a part.
 _WINDOW = 1024
-# A warning appears once the runs without a graph outnumber the runs with a graph by this number.
+# A warning appears once there are this many more runs without a graph than runs with a graph.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -51,10 +52,11 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
-    """Mark a method of the environment as a part of the step that may be captured.
+    """Mark a method of the environment as a part of the step that may be captured as a CUDA graph.
 
-    With ``to_caller``, the caller of the environment receives the result. The result is then copied out of the memory
-    of the graph, and the settings are checked before the next part, because the caller may change them.
+    With ``to_caller``, the method's result is returned to the caller of the environment. The result is then copied out
+    of the memory of the graph. The settings are checked before the next part runs, because the caller may change a
+    setting.
     """
 
     def decorate(method: Method) -> Method:
@@ -70,9 +72,9 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
 
 
 def host_part(method: Method) -> Method:
-    """Mark a method that is never captured and that may change settings, for example because it calls user code.
+    """Mark a method that is never captured and may change settings, for example because the method calls user code.
 
-    A method that returns False has changed no setting.
+    If such a method returns False, it has changed no setting.
     """
 
     @functools.wraps(method)
@@ -95,11 +97,11 @@ class Graph(Protocol):
         """Record the work."""
 
     def replay(self) -> None:
-        """Repeat the recorded work on the memory of the recording."""
+        """Repeat the recorded work on the memory that the recording used."""
 
 
 class CudaGraph:
-    """A CUDA graph whose random streams (``generators``) advance with each replay."""
+    """A CUDA graph that advances the random streams ``generators`` with each replay."""
 
     def __init__(self, generators: Sequence[torch.Generator]) -> None:
         self._generators = generators
@@ -108,13 +110,12 @@ class CudaGraph:
     def _make(self) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
         for generator in self._generators:
-            # A CUDA graph accepts no subclass of Generator. graphsafe_get_state returns a plain Generator with the same
-            # state.
+            # A CUDA graph does not accept subclasses of Generator, so use graphsafe_get_state to get a plain Generator.
             graph.register_generator_state(generator.graphsafe_get_state())
         return graph
 
     def record(self, work: Callable[[], None]) -> None:
-        """Record the work into the CUDA graph. The kernels of the work do not run before the first replay."""
+        """Record the work as a CUDA graph. The kernels of the work do not run before the first replay."""
         torch.cuda.synchronize()
         stream, failed = torch.cuda.current_stream(), []
         try:
@@ -125,12 +126,12 @@ class CudaGraph:
                     failed.append(error)
                     raise
         except Exception as error:
-            # A capture that fails at its end leaves its own stream current.
+            # A capture that fails at its end leaves its own stream as torch's current stream.
             torch.cuda.set_stream(stream)
-            # Generators that belong to a failed capture stay blocked until another capture ends. So capture one kernel.
+            # Random generators of a failed capture stay blocked until another capture ends, so capture one kernel here.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # The error that the work raised names the term.
+            cause = (failed or [error])[0]  # Prefer the error of the work, because it names the term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -141,9 +142,9 @@ class GraphCapture:
     """Runs the parts of an environment's step: directly at first, as recordings later."""
 
     def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
-        # Masks have a fixed shape, but a list of row indices has another length in each step.
+        # Use masks, which have a fixed shape, because the number of row indices differs from step to step.
         env.observation_manager.in_masks = True
-        # The log of curricula and recorders consists of Python numbers, so these managers are reset after the replay.
+        # Curricula and recorders log Python numbers, so these managers are reset in Python after the replay.
         self._reset_later = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
         self._env, self._make_graph = env, make_graph
@@ -152,11 +153,11 @@ class GraphCapture:
 
     @property
     def recordings(self) -> int:
-        """The number of recordings of all parts."""
+        """The number of recorded CUDA graphs of all parts."""
         return sum(len(part.recordings) for part in self.parts.values())
 
     def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
-        """Run a part, or replay a recording of the part."""
+        """Run a part of the step, or replay a recording of the part."""
         env = self._env
         name = method.__name__
         if name not in self.parts:
@@ -179,7 +180,7 @@ class GraphCapture:
 
 @dataclass
 class Recording:
-    """One recording of a part, and the work that Python has to do around a replay.
+    """One recorded CUDA graph of a part of the step, and the Python work before and after a replay.
 
     Attributes:
         buffers: slots of tensors that the work reads or writes, and the memory that the graph uses for them.
@@ -210,7 +211,7 @@ class Recording:
         self._containers = list(found.values())
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy the present values into the memory of the graph; return the slots for which this is not possible."""
+        """Copy the present values into the memory of the graph; return the slots whose values do not fit."""
         try:
             if not all([parent[key] is container for parent, key, container in self._containers]):
                 self._find_places()
@@ -234,7 +235,7 @@ class Recording:
         return []
 
     def replay(self) -> Any:
-        """Replay the graph, and repeat the assignments that the work made in Python."""
+        """Replay the CUDA graph, and repeat the assignments that the recorded work made in Python."""
         self.graph.replay()
         for slot, content in self.filled:
             whole = slot.get()
@@ -249,9 +250,10 @@ class Recording:
 class CapturedPart:
     """One part of the step.
 
-    ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name; the number of rows of a reset
-    differs from call to call. ``values`` are the settings and flags of the environment, which all parts share.
-    ``reset_caches`` is called before every run and forgets derived quantities. ``streams`` returns all random streams.
+    ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of reset environments
+    differs from call to call. ``values`` has the settings and flags of the environment, which all parts of the step
+    share. The function ``reset_caches`` is called before every run and drops cached quantities. ``streams`` returns all
+    random streams.
     """
 
     def __init__(
@@ -277,13 +279,13 @@ class CapturedPart:
         self._last: Key = (-1, ())
 
     def __call__(self, *args: Any) -> Any:
-        """Run the part, or replay a recording."""
+        """Run the part of the step, or replay a recording of it."""
         self._reset_caches()
         if self.fails:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # The keys of all recordings lack the values of the new flags, on which the recordings can depend.
+            # Drop all recordings, because their keys lack the values of the new flags, on which a recording can depend.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -302,7 +304,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # If the recording found a new flag, the key lacks this flag, and the recording cannot be stored.
+                # Do not store a recording that found a new flag, because its key lacks the value of this flag.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -315,11 +317,11 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[Any, ...]) -> Any:
-        self._values.is_checked = False  # Python code that runs can change settings.
+        self._values.is_checked = False  # Python code that ran may have changed settings.
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
-        """Count a run, and return how many of the last ``_WINDOW`` runs had this key."""
+        """Count a run, and return how many of the last ``_WINDOW`` runs had the same key."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -333,17 +335,17 @@ class CapturedPart:
         """Return whether to record a key: it must occur often, and more often than the rarest recording."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # A key must be twice as frequent as the rarest recording, or two rare keys would replace each other forever.
+        # A new key must be twice as frequent as the rarest recorded key, or rare keys would replace each other forever.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Drop a recording whose memory cannot take the present tensors.
+        """Drop a recording whose memory does not fit the present tensors.
 
-        The form of these tensors then becomes a part of the key, so that the next recording is not replayed for other
-        forms.
+        The shapes and types of these tensors then become a part of the key, so that the next recording is replayed only
+        for equal shapes and types.
         """
         del self.recordings[key]
         self._values.add_flags(unfit)
@@ -369,7 +371,7 @@ class CapturedPart:
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
-        """Run the part of the step without a graph, and check that the part follows the contract of this module."""
+        """Run the part of the step without a CUDA graph, and check that the part follows this module's contract."""
         values = self._values
         before = [(slot, slot.get()) for slot in values.slots()]
         undeclared = dict(values.undeclared())
@@ -394,8 +396,8 @@ class CapturedPart:
         return found
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
-        """Record the work; return None if this is not possible, for example because the work waits for the GPU."""
-        # Each registered stream costs two launches at every replay. So try first with the streams that the work used.
+        """Record the work; return None if recording is not possible, for example because the work waits for the GPU."""
+        # Each registered random stream costs two launches per replay, so first register only the used streams.
         for streams in (self._drawn, self._streams()):
             try:
                 return self._record(args, self._make_graph(streams))
@@ -422,9 +424,9 @@ class CapturedPart:
             with touched:
                 result = self._work(*inputs)
                 if self.is_reset:
-                    # Store the log of a reset as names and one tensor, because the log is copied at every replay.
+                    # Store the log of a reset as names and one tensor, which is faster to copy at every replay.
                     if not all(isinstance(value, torch.Tensor) for value in result.values()):
-                        raise RuntimeError("the log of a reset contains a value that is not a tensor")
+                        raise RuntimeError("the log of a reset must contain only tensors, but contains another value")
                     result = list(result), torch.stack([value.reshape(()) for value in result.values()])
                 outputs.append(result)
                 captured_values.write_back(tensors)
@@ -432,7 +434,7 @@ class CapturedPart:
         try:
             graph.record(work)
         except Exception:
-            # A failed recording has run no kernel, so restore all attributes to their values before the recording.
+            # A failed recording has run no kernels, so restore the values that all attributes had before the recording.
             for slot, content in dictionaries:
                 slot.set(content)
             for slot, value in (*tensors, *others):

@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
-# Keys of Isaac Lab's config that have another path in this project.
+# Keys of Isaac Lab's config that have another path in this project's config.
 _OTHER_PATHS = {"scene.num_envs": "num_envs", "sim.render_interval": "decimation"}
 
 
 class NoSuchKey(ConfigError, AttributeError):
-    """The error for a missing key of an environment's config, or for an attempt to change the config."""
+    """The error for a missing key in an environment's config, or for an attempt to change the config."""
 
 
 class Cfg(Mapping[str, Any]):
     """A read-only section of the composed config, with access by attribute and by key.
 
-    The node of a term has ``func``, its target, and ``params``, its parameters. ``root`` is the complete ``env``
-    section.
+    The section of a term has ``func``, the term's target, and ``params``, the term's parameters. ``root`` is the
+    complete config section ``env``.
     """
 
     def __init__(self, section: Mapping[str, Any], path: str = "env", root: Mapping[str, Any] | None = None) -> None:
@@ -62,7 +62,7 @@ class Cfg(Mapping[str, Any]):
 
     def __setattr__(self, name: str, value: Any) -> None:
         expected = "a change of the term: env.reward_manager.get_term_cfg(name).weight, ... .params"
-        raise NoSuchKey("the environment's config does not change", key=f"{self._path}.{name}", expected=expected)
+        raise NoSuchKey("the environment's config is read-only", key=f"{self._path}.{name}", expected=expected)
 
     def __repr__(self) -> str:
         return f"Cfg({self._section!r})"
@@ -96,11 +96,11 @@ class Simulation(Kept):
         return self._env.physics_dt
 
     def has_gui(self) -> bool:
-        """Return False, because the simulation has no window."""
+        """Return False, because the simulation never opens a window."""
         return False
 
     def is_playing(self) -> bool:
-        """Return True, because the simulations run."""
+        """Return True, because the simulations always run."""
         return True
 
 
@@ -124,7 +124,7 @@ class IsaacLabAttributes(Kept):
 
     @property
     def sim(self) -> Simulation:
-        """The simulation for terms written for Isaac Lab. The engine itself is ``scene.sim``."""
+        """The simulation object that terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
         return Simulation(self)  # type: ignore[arg-type]
 
     @property
@@ -134,17 +134,17 @@ class IsaacLabAttributes(Kept):
 
     @property
     def reset_buf(self) -> torch.Tensor:
-        """Which environments ended their episode in this step, (N,) bool."""
+        """Mask (N,) of the environments whose episode ended in this step."""
         return self.termination_manager.dones
 
     @property
     def reset_terminated(self) -> torch.Tensor:
-        """Which environments failed in this step, (N,) bool."""
+        """Mask (N,) of the environments whose episode failed in this step."""
         return self.termination_manager.terminated
 
     @property
     def reset_time_outs(self) -> torch.Tensor:
-        """Which environments reached their time limit in this step, (N,) bool."""
+        """Mask (N,) of the environments whose episode reached its time limit in this step."""
         return self.termination_manager.time_outs
 
     @property

@@ -33,9 +33,9 @@ def register() -> None:
 
 
 def register_with_gymnasium() -> None:
-    """Register the environments if Gymnasium is imported, or once it is imported later.
+    """Register the environments if Gymnasium is already imported, or as soon as Gymnasium is imported.
 
-    Importing Gymnasium takes a quarter of a second, so commands without simulation do not import Gymnasium.
+    Importing Gymnasium takes a quarter of a second, so this package does not import Gymnasium itself.
     """
     if _GYMNASIUM in sys.modules:
         register()

@@ -16,11 +16,11 @@ from wheelleg_exp.gym.task_env import RENDER_MODES, Arrays, action_space, as_arr
 
 
 class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
-    """A task as a single Gymnasium environment. The environment never resets by itself.
+    """A task as a Gymnasium environment with one robot. The environment never resets automatically.
 
     Args:
         task: a task's name.
-        overrides: Hydra overrides as a list, or one override as a string.
+        overrides: Hydra overrides of the task's config, as a list, or one override as a string.
         config_dirs: folders of the user's own configs, or one folder.
         action_bound: largest size of an action in ``action_space``, one number for all or (A,); None means unbounded.
             Larger actions are not clipped.
@@ -52,7 +52,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
         """Start an episode; a seed restarts all random streams.
 
-        ``log`` in the info is the managers' log of the previous episode, if there was one.
+        In the returned info, ``log`` is the managers' log of the previous episode, if one exists.
         """
         super().reset(seed=seed, options=options)
         has_run = bool(self.env.episode_length_buf[0])
@@ -60,10 +60,10 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         return _first(as_arrays(observations)), {"log": task_env.log_of(extras)} if has_run else {}
 
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step, for a raw action (A,).
+        """Advance the environment by one control step with a raw action (A,).
 
         If a reward or the physics became NaN or inf, the episode fails with a reward of 0, and ``non_finite`` in the
-        info names the term.
+        returned info names the term.
         """
         raw = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
         observations, reward, terminated, truncated, extras = self.env.step(raw)

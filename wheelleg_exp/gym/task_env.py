@@ -27,7 +27,7 @@ Arrays = dict[str, np.ndarray]
 def task_env(
     task: str, num_envs: int, overrides: Sequence[str], config_dirs: str | Path | Sequence[str | Path]
 ) -> ManagerBasedRLEnv:
-    """Compose, check and build a task."""
+    """Compose and check a task's config, and build the environment."""
     given = override_texts(overrides)
     if any(word.lstrip("+").startswith("env.num_envs=") for word in given):
         message = "Gymnasium sets the number of environments"
@@ -40,7 +40,11 @@ def task_env(
         for group, concatenated in env.observation_manager.group_obs_concatenate.items():
             if not concatenated:
                 key = f"env.observations.{group}.concatenate_terms"
-                raise ConfigError("Gymnasium needs one array for each observation group", key=key, expected="true")
+                raise ConfigError(
+                    "Gymnasium needs one array for each observation group, so the terms must be concatenated",
+                    key=key,
+                    expected="true",
+                )
     return env
 
 
@@ -54,7 +58,7 @@ def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
 
 
 def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) -> gymnasium.spaces.Box:
-    """Return the space of one environment's raw actions, bounded by one number or by one number for each action."""
+    """Return the Gymnasium space of one environment's raw actions, with one bound or one bound per action."""
     width = env.action_manager.total_action_dim
     if bound is None:
         return gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
@@ -65,17 +69,17 @@ def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) 
         high = None
     if high is None or not (np.isfinite(high).all() and (high > 0).all()):
         expected = f"a number above 0, {width} such numbers, or None"
-        raise ConfigError(f"{bound!r} is not a bound of actions", key="action_bound", expected=expected)
+        raise ConfigError(f"{bound!r} is not a valid bound of actions", key="action_bound", expected=expected)
     return gymnasium.spaces.Box(-high, high, dtype=np.float32)
 
 
 def as_arrays(observations: Observations) -> Arrays:
-    """Return copies of the observations as arrays."""
+    """Return copies of the observations as NumPy arrays."""
     return {group: host_copy(value) for group, value in observations.items() if isinstance(value, torch.Tensor)}
 
 
 def log_of(extras: dict[str, Any]) -> dict[str, float]:
-    """Return the managers' log of the last episodes that were reset, by name."""
+    """Return the managers' log of the episodes that ended at the last reset, by name."""
     return {key: float(value) for key, value in extras["log"].items()}
 
 
@@ -84,9 +88,9 @@ _SIZE_PX = (16, 4096)
 
 
 class Pictures:
-    """Renders environments one by one without changing their state.
+    """Renders images of environments one by one; their states do not change.
 
-    Images are width x height px; the mode None means no images.
+    Images have width x height pixels; the mode None means that no images are rendered.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
@@ -97,12 +101,12 @@ class Pictures:
             whole = isinstance(size, Integral) and not isinstance(size, bool)
             if not (whole and _SIZE_PX[0] <= size <= _SIZE_PX[1]):
                 expected = "a whole number of px, {} to {}".format(*_SIZE_PX)
-                raise ConfigError(f"{size!r} is not an image size", key=key, expected=expected)
+                raise ConfigError(f"{size!r} is not a valid image size in pixels", key=key, expected=expected)
         self._env, self._mode = env, mode
         self._pictures = LivePictures(env.scene.model, env.scene.robot.body_names[0], width, height)
 
     def draw(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return an image (height, width, 3) of every environment, or None without a mode."""
+        """Return an image (height, width, 3) of every environment, or None if the mode is None."""
         if self._mode is None:
             return None
         return tuple(self._pictures.draw(row) for row in host_copy(self._env.scene.sim.view("qpos")).astype(float))

@@ -22,20 +22,21 @@ _MODES = {name: AutoresetMode[name.upper()] for name in ("same_step", "next_step
 
 
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
-    """A task as a vector environment, with infos in the layout of Gymnasium's ``SyncVectorEnv``.
+    """A task as a Gymnasium vector environment; infos have the layout of ``SyncVectorEnv``.
 
     ``same_step``: a done environment is reset within the step; ``final_obs`` and ``final_info`` contain its last
     observation and info, and the returned observation is the first of the next episode. ``next_step``: a done
     environment is reset in the next step, whose action is ignored and whose reward is 0. ``disabled``: the caller
-    resets with ``reset(options={"reset_mask": ...})``. ``log`` in the infos is the managers' log, averaged over the
-    episodes that ended in this step. If a reward or the physics became NaN or inf, the environment fails with a reward
-    of 0, and ``non_finite`` names the term.
+    resets with ``reset(options={"reset_mask": ...})``. In the infos, ``log`` is the managers' log, averaged over the
+    episodes that ended in this step. If a reward or the physics became NaN or inf, the episode fails with a reward of
+    0, and ``non_finite`` names the term.
 
     Args:
         num_envs: number of environments, N.
-        autoreset_mode: ``same_step``, ``next_step``, ``disabled``, or Gymnasium's ``AutoresetMode``.
+        autoreset_mode: The mode is ``same_step``, ``next_step``, ``disabled``, or a value of Gymnasium's
+            ``AutoresetMode``.
 
-    The remaining arguments are those of ``WheellegEnv``.
+    All other arguments are those of ``WheellegEnv``.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -74,7 +75,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Arrays, dict[str, Any]]:
-        """Reset every environment, or those of ``options["reset_mask"]`` (N,) bool.
+        """Reset all environments, or only the environments in the mask ``options["reset_mask"]`` (N,).
 
         One seed restarts all random streams.
         """
@@ -82,7 +83,9 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             raise ValueError("the environments share their random streams: give one seed, not a list")
         mask = _reset_mask(options, self.num_envs)
         if mask is not None and seed is not None:
-            raise ValueError("the environments share their random streams: a seed is for a reset of all of them")
+            raise ValueError(
+                "the environments share their random streams: give a seed only if all environments are reset"
+            )
         super().reset(seed=seed, options=options)
         left = host_copy(self.env.episode_length_buf > 0)
         if mask is None:
@@ -95,10 +98,12 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         return as_arrays(observations), _log(extras, left) if left.any() else {}
 
     def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every environment by one control step, for raw actions (N, A)."""
+        """Advance every environment by one control step with raw actions (N, A)."""
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             done = np.flatnonzero(self._done).tolist()
-            raise ResetNeeded(f"the environments {done} are done; reset them with options['reset_mask']")
+            raise ResetNeeded(
+                f"the episodes of the environments {done} have ended; reset them with options['reset_mask']"
+            )
         started = self._done
         action = torch.as_tensor(np.asarray(actions, dtype=np.float32))
         observations, reward, terminated, truncated, extras = self.env.step(action)

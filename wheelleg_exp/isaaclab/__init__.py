@@ -1,10 +1,10 @@
-"""Isaac Lab's module paths, so that a term written for Isaac Lab runs after its import lines are changed.
+"""Provide Isaac Lab's module paths, so that a term written for Isaac Lab needs only changed import lines.
 
-``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers import SceneEntityCfg``.
-``docs/isaaclab.md`` describes the differences.
+For example, ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers import
+SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
-Only ``managers`` and ``utils`` contain code. The remaining modules only give Isaac Lab's names to existing classes.
-These modules are created from a table when the package is imported.
+Only the modules ``managers`` and ``utils`` contain code. All other modules only give Isaac Lab's names to existing
+classes. The other modules are created from a table when the package is imported.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
-# The docstring and the members of each module by path. A package comes before its modules.
+# The docstring and the members of each created module by path; a package comes before its modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "actuators": ("The actuator models.", _public(actuators)),
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),

@@ -32,7 +32,7 @@ RewardTermCfg = ObservationTermCfg = TerminationTermCfg = EventTermCfg = Curricu
 class ActionTermCfg:
     """The config of an action: the parameters of the YAML node as attributes.
 
-    ``class_type`` and ``debug_vis`` are unused, because ``_target_`` of the node is the class.
+    The fields ``class_type`` and ``debug_vis`` are unused, because ``_target_`` in the config names the class.
 
     Attributes:
         asset_name: the robot's name in the scene.
@@ -49,7 +49,7 @@ class ActionTermCfg:
 class CommandTermCfg:
     """The config of a command: the parameters of the YAML node as attributes.
 
-    ``class_type`` and ``debug_vis`` are unused, because ``_target_`` of the node is the class.
+    The fields ``class_type`` and ``debug_vis`` are unused, because ``_target_`` in the config names the class.
 
     Attributes:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -61,10 +61,10 @@ class CommandTermCfg:
 
 
 class ActionTerm(OfEnv, managers.ActionTerm):
-    """An action term with the constructor ``(cfg, env)``.
+    """Base class of action terms with Isaac Lab's constructor ``(cfg, env)``.
 
-    A subclass defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` holds the parameters of the
-    YAML node, as the class that annotates ``cfg`` in the constructor of the subclass.
+    A subclass defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` has the parameters from YAML;
+    its class is the type annotation of ``cfg`` in the subclass's constructor.
     """
 
     def __init__(self, cfg: ActionTermCfg, env: Env) -> None:
@@ -74,7 +74,7 @@ class ActionTerm(OfEnv, managers.ActionTerm):
 
 
 class CommandTerm(OfEnv, managers.CommandTerm):
-    """A command term with the constructor ``(cfg, env)``; see ``ActionTerm``.
+    """Base class of command terms with Isaac Lab's constructor ``(cfg, env)``; see ``ActionTerm``.
 
     A subclass defines ``_resample_command``, ``_update_command``, and ``_update_metrics``, and fills ``metrics``: the
     log entries of the episodes that end, (N,) by name.
@@ -84,7 +84,7 @@ class CommandTerm(OfEnv, managers.CommandTerm):
 
     def __init__(self, cfg: CommandTermCfg, env: Env) -> None:
         self.cfg = cfg
-        # Pass no generator, because torch's global generator is the term's stream while the term runs.
+        # Pass no generator, because torch's global generator is the term's random stream while the term runs.
         super().__init__(env, cfg.resampling_time_range, (), None)  # type: ignore[arg-type]
         self.metrics: dict[str, torch.Tensor] = {}
 
@@ -93,10 +93,10 @@ class CommandTerm(OfEnv, managers.CommandTerm):
         raise NotImplementedError
 
     def _update_command(self) -> None:
-        """Compute the command from the drawn values in every step."""
+        """Compute the command from the drawn values; called in every control step."""
 
     def _update_metrics(self) -> None:
-        """Update the metrics in every step."""
+        """Update the command's metrics; called in every control step."""
 
     def draw(self, env_ids: torch.Tensor) -> None:
         self._resample_command(env_ids)

@@ -17,11 +17,11 @@ from wheelleg_exp.terms.term_errors import code_place
 
 
 class ActionTerm(TermBase):
-    """A slice of the action vector.
+    """One term of the action vector, which processes its own slice of the vector.
 
     Attributes:
-        drives: which target of its joints the term sets: ``position``, ``velocity``, ``effort``, or empty for a term
-            without joint targets.
+        drives: which target of its joints the term sets: ``position``, ``velocity``, ``effort``, or an empty text for a
+            term without joint targets.
         joint_names: names of the joints, if the term drives joints.
         action_dim: width of the slice.
     """
@@ -42,14 +42,15 @@ class ActionTerm(TermBase):
         raise NotImplementedError
 
     def apply_actions(self) -> None:
-        """Set the joint targets of one physics step."""
+        """Set the joint targets for the next physics step."""
         raise NotImplementedError
 
 
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
     """Return an error for each joint whose target two terms set: only the later term would have an effect.
 
-    A claim consists of the config key of a term, the kind of target that the term sets, and the term's joints.
+    A claim consists of an action term's config key, the target that the term sets (such as ``position``), and the
+    term's joints.
     """
     by_kind: dict[str, list[tuple[str, str, Sequence[str]]]] = {}
     for path, kind, joints in claims:
@@ -59,9 +60,9 @@ def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> li
 
 
 class ActionManager(ManagerBase):
-    """Splits the action vector over the terms, in declaration order.
+    """Splits the action vector into one slice for each action term, in the order of the config.
 
-    The field ``delay`` of an action term delays its processed actions by some physics steps.
+    The field ``delay`` of an action term delays the term's processed actions by a number of physics steps.
     """
 
     kind = "actions"
@@ -72,7 +73,9 @@ class ActionManager(ManagerBase):
         self._action_terms: dict[str, ActionTerm] = {}
         for name, term in self._terms.items():
             if not isinstance(term.func, ActionTerm):
-                raise ConfigError(f"'{term.target}' is not an action term", key=term.path, expected="an action term")
+                raise ConfigError(
+                    f"'{term.target}' is not the class of an action term", key=term.path, expected="an action term"
+                )
             self._action_terms[name] = term.func
             width = getattr(term.func, "action_dim", None)
             if isinstance(width, bool) or not isinstance(width, int) or width < 1:
@@ -102,18 +105,18 @@ class ActionManager(ManagerBase):
         return sum(self.action_term_dim)
 
     def get_term(self, name: str) -> ActionTerm:
-        """Return an action term by name."""
+        """Return the action term with the given name."""
         self.get_term_cfg(name)
         return self._action_terms[name]
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return the raw actions of one environment by term."""
+        """Return the raw actions of one environment by the name of the action term."""
         return [(name, term.raw_actions[env_idx].tolist()) for name, term in self._action_terms.items()]
 
     def process_action(self, action: torch.Tensor) -> None:
         """Process the raw action (N, total) of this control step, without clipping."""
         if action.shape != self.action.shape:
-            raise ValueError(f"actions have shape {tuple(action.shape)}, expected {tuple(self.action.shape)}")
+            raise ValueError(f"the actions have the shape {tuple(action.shape)}, expected {tuple(self.action.shape)}")
         self.prev_action.copy_(self.action)
         self.action.copy_(action)
         self._is_new = True
@@ -124,7 +127,7 @@ class ActionManager(ManagerBase):
             start += term.action_dim
 
     def apply_action(self) -> None:
-        """Set the targets of every term before a physics step. Constant targets are set only once per control step."""
+        """Set the joint targets before a physics step. Set constant targets only once per control step."""
         for name, term in self._action_terms.items():
             if not (self._is_new or name in self._delays or not term.applies_once):
                 continue

@@ -10,11 +10,11 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Finds the environments whose episode ended. Masks (N,) are copied to the host, which returns indices.
+    """Finds environments whose episode ended. Masks (N,) are copied to the host, which computes indices.
 
-    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, and ``ids`` waits for
-    them. A third mask is available later than these two masks. On a GPU ``ids`` does not wait for the third mask unless
-    the caller passes ``at_once``; ``late`` then returns the environments of the third mask.
+    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, and ``ids`` waits for the
+    copies. A third mask is available later than the first two masks. On a GPU ``ids`` does not wait for the third mask
+    unless the caller passes ``at_once``; ``late`` then returns the environments of the third mask.
 
     Attributes:
         answers_late: whether ``late`` may answer for the third mask; only on a GPU, where waiting costs time.
@@ -27,7 +27,7 @@ class AsyncMaskQuery:
             self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=on_gpu)
             self._ids = torch.empty(4, count if on_gpu else 0, dtype=torch.long, device="cpu", pin_memory=on_gpu)
             self._none = torch.zeros(0, dtype=torch.long, device=device)
-        # NumPy finds indices of small masks ten times as fast as torch does.
+        # NumPy finds the indices of a small mask ten times as fast as torch does.
         self._host_masks, self._host_ids = self._masks.numpy(), self._ids.numpy()
         self._copied = [torch.cuda.Event(), torch.cuda.Event()] if on_gpu else []
         self._has_late = False
@@ -39,10 +39,10 @@ class AsyncMaskQuery:
         self._record(0)
 
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the indices of the environments that ended, and of the environments that failed.
+        """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) is a third mask. Unless ``at_once`` is True, ``late`` may return the environments of this
-        mask later.
+        ``also_failed`` (N,) is a third mask of failed environments. Unless ``at_once`` is True, the environments of
+        ``also_failed`` may be missing here; ``late`` then returns them.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -54,7 +54,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the environments of ``also_failed`` that ``ids`` left out of its two results, for each result."""
+        """Return the environments of ``also_failed`` that are missing in the two results of ``ids``."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -82,15 +82,15 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    The host does not wait for a GPU: a NaN or inf is reported some checks later. After a NaN or inf every check waits
-    for the GPU, until ``_PATIENCE`` checks in a row were finite.
+    The host does not wait for a GPU: a NaN or inf is reported some checks later. After a NaN or inf, every check waits
+    for the GPU until ``_PATIENCE`` checks in a row found finite numbers.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
     watch = _watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)  # a check in a CUDA graph cannot wait for the GPU
+    watch.note(total)  # a finiteness check in a CUDA graph cannot wait for the GPU
     return True
 
 
@@ -100,7 +100,7 @@ def note(total: torch.Tensor) -> None:
 
 
 def is_calm(device: torch.device) -> bool:
-    """Return whether all recent checks that the host has read from a GPU were finite; False on a CPU."""
+    """Return whether all checks whose results have arrived from the GPU found finite numbers; False on a CPU."""
     return device.type == "cuda" and _watch(device).is_calm()
 
 
@@ -121,11 +121,11 @@ class _FiniteWatch:
         self._checks, self._waits = 0, 0
 
     def note(self, total: torch.Tensor) -> None:
-        """Add ``total * 0`` to a running sum, which is 0 while all numbers are finite, and NaN after a NaN or inf."""
+        """Add ``total * 0`` to a running sum. The sum is 0 while all numbers are finite, and NaN after a NaN or inf."""
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return whether all checked numbers were finite. After a NaN or inf, return False for ``_PATIENCE`` calls."""
+        """Return whether all checked numbers were finite. After a NaN or inf, return False in ``_PATIENCE`` calls."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()
@@ -140,4 +140,4 @@ class _FiniteWatch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # by the index of the GPU
+_watches: dict[int, _FiniteWatch] = {}  # one watch per GPU, by the index of the GPU

@@ -18,10 +18,10 @@ from wheelleg_exp.terms.term_errors import described
 
 
 class CommandTerm(TermBase):
-    """A command with a resampling timer and error metrics.
+    """Base class of commands, with a resampling timer and metrics of the tracking error.
 
-    A metric is the sum over steps of ``error * dt``, divided by the longest time between two draws. With
-    ``logs_last_error`` the metric is the last error of the episode, which suits commanded positions.
+    A metric is the sum over steps of ``error * dt``, divided by the longest time between two draws of the command. With
+    ``logs_last_error``, the metric is the tracking error at the end of the episode, which suits commanded positions.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -29,7 +29,7 @@ class CommandTerm(TermBase):
     """
 
     logs_last_error: ClassVar[bool] = False
-    may_draw = True  # False if no resampling timer can expire in this step
+    may_draw = True  # False if no resampling timer can expire in the present step
 
     def __init__(
         self, env: Env, resampling_time_range: PositiveInterval, metric_names: Sequence[str], generator: torch.Generator
@@ -59,10 +59,10 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def post_process(self) -> None:
-        """Compute the command from the drawn values in every control step."""
+        """Compute the command from the drawn values; the manager calls this method in every control step."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update the metrics, draw expired commands, and post-process. Return this step's tracking errors (M, N)."""
+        """Update metrics, draw commands with expired timers, and post-process. Return the tracking errors (M, N)."""
         errors = self.errors()
         shape = self.error_sums.shape
         if getattr(errors, "shape", None) != shape:
@@ -89,11 +89,11 @@ class CommandTerm(TermBase):
         """
 
     def may_expire(self, dt: float) -> bool:
-        """Return whether a resampling timer may expire within ``dt`` seconds. The host does not wait for a GPU."""
+        """Return whether a resampling timer may expire within ``dt`` seconds. The host does not wait for the GPU."""
         return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the means of the metrics over ``env_ids``, set the metrics to 0, and draw new commands."""
+        """Return the metrics' means over the environments ``env_ids``; then clear the metrics and draw new commands."""
         steps = self.steps.index_select(0, env_ids).clamp(min=1)
         means = self.metrics.index_select(1, env_ids).mean(dim=1)
         per_step = (self.error_sums.index_select(1, env_ids) / steps).mean(dim=1)
@@ -114,7 +114,7 @@ class CommandTerm(TermBase):
 
 
 class CommandManager(ManagerBase):
-    """Advances the command terms, and logs their metrics.
+    """Advances all command terms, and logs the metrics of the terms.
 
     Attributes:
         step_errors: errors of the metrics in the last step, (M, N) by term; not state.
@@ -129,12 +129,14 @@ class CommandManager(ManagerBase):
         self.step_errors: dict[str, torch.Tensor] = {}
         for name, term in self._terms.items():
             if not isinstance(term.func, CommandTerm):
-                raise ConfigError(f"'{term.target}' is not a command term", key=term.path, expected="a command term")
+                raise ConfigError(
+                    f"'{term.target}' is not the class of a command term", key=term.path, expected="a command term"
+                )
             self._command_terms[name] = term.func
             term.form = row_form(self._num_envs, env.device)
 
     def get_command(self, name: str) -> torch.Tensor:
-        """Return the current command of a term, (N, k)."""
+        """Return the current command of a command term, (N, k)."""
         found, term = self.get_term(name), self._terms[name]
         with term.blamed():
             command = found.command
@@ -149,7 +151,7 @@ class CommandManager(ManagerBase):
         return self._command_terms[name]
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return the commands of one environment by term."""
+        """Return the commands of one environment by the name of the command term."""
         return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]
 
     def read_settings(self) -> None:
@@ -159,19 +161,19 @@ class CommandManager(ManagerBase):
                 term.read_settings()
 
     def may_draw(self, dt: float) -> bool:
-        """Return whether a command may be drawn in a step of ``dt`` seconds. The host does not wait for a GPU."""
-        # Build a list, because every term has to count the time. A generator would stop at the first True.
+        """Return whether a command may be drawn in a step of ``dt`` seconds. The host does not wait for the GPU."""
+        # Build a list, so that every term advances its timer; a generator would stop at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
     def compute(self, dt: float, *, may_draw: bool = True) -> None:
-        """Advance every term by one control step of ``dt`` seconds, without draws if ``may_draw`` is False."""
+        """Advance every command term by a step of ``dt`` seconds; if ``may_draw`` is False, draw no commands."""
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
                 if not may_draw:
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # stored here, because an attribute of the term would be saved as state
+                    del term.may_draw  # delete the flag, because an attribute of a term would be saved as state
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands and return the metrics of the episodes that ended."""

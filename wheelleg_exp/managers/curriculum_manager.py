@@ -25,7 +25,7 @@ class CurriculumManager(ManagerBase):
             term.form = FiguresForm()
 
     def compute(self, env_ids: torch.Tensor) -> None:
-        """Run every curriculum term on the episodes that end in this step, before the reset."""
+        """Run every curriculum term on the episodes that end in this step, before the environments are reset."""
         for name, term in self._terms.items():
             self._state[name] = term(self._env, env_ids)
 
@@ -41,7 +41,7 @@ class CurriculumManager(ManagerBase):
         return log
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[Any]]]:
-        """Return the last logged values of each curriculum term as a list. The values are equal in all environments."""
+        """Return the values that each curriculum term logged last. Logged values are equal in all environments."""
         del env_idx
         states = {name: state for name, state in self._state.items() if state is not None}
         parts = ((name, state.values() if isinstance(state, Mapping) else [state]) for name, state in states.items())

@@ -22,7 +22,7 @@ from wheelleg_exp.terms.term_binding import EVENT_MODES
 class EventManager(ManagerBase):
     """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or a user-defined mode.
 
-    The manager is built before the scene is compiled, so that ``prestartup`` terms can edit ``env.scene.spec``.
+    The event manager is built before the scene is compiled, so that ``prestartup`` terms can edit ``env.scene.spec``.
     """
 
     kind = "events"
@@ -56,8 +56,8 @@ class EventManager(ManagerBase):
             self._note_asked(name)
 
     @property
-    def active_terms(self) -> dict[str, list[str]]:  # type: ignore[override]  # as in Isaac Lab
-        """Names of the event terms by mode, in declaration order."""
+    def active_terms(self) -> dict[str, list[str]]:  # type: ignore[override]  # Isaac Lab's return type
+        """Names of the event terms by mode, in the order of the config."""
         return {mode: list(terms) for mode, terms in self._modes.items()}
 
     @property
@@ -68,11 +68,13 @@ class EventManager(ManagerBase):
     def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
         """Run the events of ``prestartup``, ``startup``, ``reset``, or a user-defined mode in some or all environments.
 
-        The mode ``reset`` requires the number of control steps since the start. A user-defined mode without terms
-        causes a warning.
+        The mode ``reset`` requires the number of control steps since the start of the run. A user-defined mode that has
+        no event terms causes a warning.
         """
         if mode == "interval":
-            raise ValueError("interval events run in each step of the environment; apply() does not run them")
+            raise ValueError(
+                "apply() cannot run the mode 'interval', because step() runs interval events when their timers expire"
+            )
         if mode not in (*EVENT_MODES, *self._modes):
             nearest = nearest_name(mode, self._modes)
             hint = f"; did you mean '{nearest}'?" if nearest else ""
@@ -86,13 +88,13 @@ class EventManager(ManagerBase):
                 ids = self._due(name, term, everyone, global_env_step_count)
                 if not len(ids):
                     continue
-            if mode == "prestartup":  # the simulation does not exist yet
+            if mode == "prestartup":  # the simulation is built only later
                 term(self._env, ids)
             else:
                 self._run(name, term, ids)
 
     def advance_timers(self, dt: float) -> None:
-        """Subtract ``dt`` seconds from the event timers, and set ``fired`` to the environments with expired timers."""
+        """Subtract ``dt`` seconds from the event timers; store the environments with expired timers in ``fired``."""
         for name in self._modes.get("interval", {}):
             time_left = self._time_left[name]
             time_left -= dt
@@ -101,7 +103,7 @@ class EventManager(ManagerBase):
     def apply_due(self, dt: float) -> bool:
         """Run the events with expired timers, then the events of mode ``step``; return whether any event ran.
 
-        ``dt`` is the time in seconds that ``advance_timers`` subtracted last.
+        ``dt`` is the time, s, that the last call of ``advance_timers`` subtracted.
         """
         ran = False
         for name, term in self._modes.get("interval", {}).items():
@@ -110,7 +112,7 @@ class EventManager(ManagerBase):
             ids = ids_where(self.fired[name])
             if not len(ids):
                 continue
-            # A global timer has one element, so ``ids`` is [0].
+            # Here ``ids`` is [0], because a timer that all environments share has one element.
             self._draw_timer(name, term, ids)
             self._run(name, term, None if term.fields.get("is_global_time", False) else ids)
             ran = True
@@ -121,7 +123,7 @@ class EventManager(ManagerBase):
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         term(self._env, ids)
-        self._env.scene.robot.data.invalidate()  # an event term may have written to any quantity
+        self._env.scene.robot.data.invalidate()  # an event term may have changed any quantity
         self._note_asked(name)
         require_finite_writes(self._env, term.path, self._asked[name], ids)
 
@@ -132,7 +134,7 @@ class EventManager(ManagerBase):
             asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Draw new timers for ``env_ids``, and reset all event terms except ``prestartup`` terms."""
+        """Draw new event timers for ``env_ids``, and reset all event terms except ``prestartup`` terms."""
         for name, term in self._modes.get("interval", {}).items():
             if not term.fields.get("is_global_time", False):
                 self._draw_timer(name, term, env_ids)

@@ -1,7 +1,7 @@
-"""Bound terms, and the base class of the managers.
+"""Terms that are bound to their functions, and the base class of all managers.
 
-Each term node of the config is bound to its target once, when the environment is built. ``ManagerBase`` lists,
-prints, resets, saves, and restores the terms of one section of the config.
+When the environment is built, each term of the config is bound once to its function or class (``_target_``).
+``ManagerBase`` lists, prints, resets, saves, and restores the terms of one config section.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from wheelleg_exp.user_exceptions import ending_as, in_words
 
 
 class TermBase(Stateful):
-    """A term with state. Subclasses take ``env``, their parameters, and ``generator`` if they draw random numbers.
+    """A term with state. Constructors take ``env``, the parameters, and ``generator`` for random numbers.
 
     The package ``state`` saves and restores the attributes of a term: tensors always, unless ``settings`` names them;
     other attributes once they have changed.
@@ -72,7 +72,7 @@ class ManagerTermBase(OfEnv, TermBase):
 
 @dataclass
 class Term(Kept):
-    """A bound term: ``func(env, **params)`` for functions, ``func(env)`` for term objects.
+    """A bound term, called as ``func(env, **params)`` for functions, and ``func(env)`` for term objects.
 
     Attributes:
         path: the config key of the term.
@@ -107,10 +107,10 @@ class Term(Kept):
     lends: bool = field(default=False, init=False)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a manager's field of the term as an attribute, as in Isaac Lab's term configs."""
+        """Return a field of the term (such as ``weight``) as an attribute, as in Isaac Lab's term configs."""
         if name in FIELD_TYPES:
             return vars(self).get("fields", {}).get(name)
-        raise AttributeError(f"a term has no '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
+        raise AttributeError(f"a term has no attribute '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in FIELD_TYPES:
@@ -119,9 +119,10 @@ class Term(Kept):
             super().__setattr__(name, value)
 
     def __call__(self, *args: Any) -> Any:
-        """Call the term with the environment (and ids), and check the return value against ``form``.
+        """Call the term with the environment (and ids), and check that the return value has the required form.
 
-        An exception in the term's code becomes a ConfigError in the first call, and a SimulationFailure in later calls.
+        An exception in the term's code is raised as ConfigError in the first call, and as SimulationFailure in later
+        calls.
         """
         with self.blamed():
             value = self.func(*args, **self.params)
@@ -136,7 +137,7 @@ class Term(Kept):
         return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
     def blamed(self) -> AbstractContextManager[None]:
-        """Return a context whose errors name this term."""
+        """Return a context manager whose errors name this term."""
         return self._lending() if self.lends else _Blamed(self)
 
     @contextmanager
@@ -164,12 +165,12 @@ class Term(Kept):
         """Note the settings of the term from the config: later differences are state."""
         if self.settings is None:
             params = self.params if self._make is None or self._keeps_params else self.arguments
-            # Modifiers and noise are saved with the state of their observation.
+            # The state of an observation includes its modifiers and noise.
             skip = ("modifiers", "noise")
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
     def take_arguments(self) -> None:
-        """Apply changed constructor arguments to the term object without changing the state of the term object."""
+        """Apply changed constructor arguments to the term object, but do not change the object's state."""
         if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
         assert self.stateful is not None
@@ -177,9 +178,9 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Create the term object with ``make``.
+        """Create the term object with the function ``make``.
 
-        With ``keeps_params`` each call of the term object receives the parameters.
+        With ``keeps_params``, each call of the term object receives the parameters, as in Isaac Lab.
         """
         self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
@@ -191,7 +192,7 @@ class Term(Kept):
 
 
 class _Blamed:
-    """A context that adds the config key of a term to errors. A generator would be slower."""
+    """A context manager that adds the config key of a term to errors. A generator would be slower."""
 
     __slots__ = ("_term",)
 
@@ -208,10 +209,10 @@ class _Blamed:
 def bind_terms(
     kind: str, section: str, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True
 ) -> dict[str, Term]:
-    """Bind every term of a section, in declaration order; null terms are skipped.
+    """Bind every term of a config section, in the order of the config; terms that are null are skipped.
 
-    ``kind`` is a key of ``terms.RESERVED``, and ``section`` a config key such as ``env.rewards``. Without
-    ``instantiate``, call ``instantiate_term`` later to make the term objects.
+    ``kind`` is a key of ``terms.RESERVED``, and ``section`` is a config key such as ``env.rewards``. If ``instantiate``
+    is False, call ``instantiate_term`` later to make the term objects.
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
@@ -248,25 +249,25 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Create the object of a class term, and store the settings of every term. Functions are used unchanged."""
+    """If the term is a class, create its object; store the settings of every term. Functions are used unchanged."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
         return
     if not issubclass(kind, TermBase):
         expected = "a subclass of TermBase or a function"
-        raise ConfigError(f"'{term.target}' is not a term class", key=term.path, expected=expected)
+        raise ConfigError(f"'{term.target}' is not the class of a term", key=term.path, expected=expected)
 
     def make() -> TermBase:
         node = TermNode(term.name, term.path, term.target, {}, term.arguments)
-        for error in parameter_errors("commands", node, kind):  # command terms have no fields that the manager reads
+        for error in parameter_errors("commands", node, kind):  # the command manager reads no fields of the terms
             raise error
         with term.blamed():
             arguments: dict[str, Any] = {"cfg": term}
             if not term_binding.takes_cfg(kind):
                 arguments = _params(term, term.arguments, env)
             elif (config := term_binding.cfg_class(kind)) and config is read_from(kind):
-                # Action and command terms read their config themselves.
+                # Action and command terms get their settings as ``cfg``, as in Isaac Lab.
                 arguments = {"cfg": config(**_params(term, term.arguments, env))}
             made_object: TermBase = cast(Any, kind)(env=env, **arguments)
         return made_object
@@ -277,9 +278,9 @@ def instantiate_term(term: Term, env: Env) -> None:
 
 
 def build(value: Any, path: str) -> Any:
-    """Return a parameter with all ``_target_`` nodes in it called, the innermost first.
+    """Replace each ``_target_`` node in a parameter by the result of its call, the innermost nodes first.
 
-    Interpolations in the parameter are not resolved, because the config is already composed.
+    OmegaConf interpolations are not resolved, because the config is already composed.
     """
     for where, node in term_binding.walk_nodes(value, path):
         if TARGET in node:
@@ -289,7 +290,7 @@ def build(value: Any, path: str) -> Any:
 
 
 def _built(value: Any, path: str) -> Any:
-    """Return a copy of a parameter with all ``_target_`` nodes called. A curriculum may change the copy."""
+    """Copy a parameter; the result of its call replaces each ``_target_`` node. A curriculum may change the copy."""
     if isinstance(value, (list, tuple)):
         return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
     if not isinstance(value, Mapping):
@@ -308,7 +309,7 @@ def _built(value: Any, path: str) -> Any:
 
 
 class ManagerBase(OfEnv, Kept):
-    """A manager of the terms of one section of the config.
+    """Base class of managers; a manager owns the terms of one config section.
 
     Attributes:
         saved_tensors: attributes that are state, by their key in the state dict.
@@ -326,25 +327,25 @@ class ManagerBase(OfEnv, Kept):
 
     @property
     def active_terms(self) -> list[str]:
-        """Names of the terms, in declaration order."""
+        """Names of the manager's terms, in the order of the config."""
         return list(self._terms)
 
     @property
     def term_names(self) -> list[str]:
-        """Names of the terms, in declaration order, also where ``active_terms`` groups them."""
+        """Names of all terms as one list in the order of the config, even if ``active_terms`` groups the names."""
         return list(self._terms)
 
     @property
     def bound_terms(self) -> list[Term]:
-        """The bound terms, in declaration order."""
+        """The manager's bound terms, in the order of the config."""
         return list(self._terms.values())
 
     def find_terms(self, name_keys: str | Sequence[str]) -> list[str]:
-        """Return the names of the terms that match expressions; raise ConfigError if an expression matches no term."""
+        """Return the names of the terms that match regular expressions; raise ConfigError if one matches no term."""
         return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
 
     def set_term_cfg(self, name: str, cfg: Any) -> None:
-        """Set ``func``, ``params``, and the fields of a term from another term config."""
+        """Set ``func``, ``params``, and the fields of a term to those of another term config."""
         term = self.get_term_cfg(name)
         if cfg is term:
             return
@@ -356,19 +357,19 @@ class ManagerBase(OfEnv, Kept):
             term.fields[setting] = getattr(cfg, setting, term.fields[setting])
 
     def get_term_cfg(self, name: str) -> Term:
-        """Return a term with ``func``, ``params``, and the manager's fields, which can be read and changed."""
+        """Return a term, whose ``func``, ``params``, and fields (such as ``weight``) can be read and changed."""
         if name not in self._terms:
             message, nearest = f"there is no term '{name}' in env.{self.kind}", nearest_name(name, self._terms)
             raise ConfigError(message, expected="one of " + (", ".join(self._terms) or "(no terms)"), nearest=nearest)
         return self._terms[name]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the manager and of its terms."""
+        """Return the state of the manager and of the manager's terms."""
         tensors = {key: getattr(self, name).clone() for key, name in self.saved_tensors.items()}
         return {"terms": {name: term.state_dict() for name, term in self._terms.items()}, **tensors}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the state that ``state_dict`` returned."""
+        """Restore a state that ``state_dict`` returned."""
         for name, term in self._terms.items():
             term.load_state_dict(saved["terms"][name])
         for key, name in self.saved_tensors.items():
@@ -387,7 +388,7 @@ class ManagerBase(OfEnv, Kept):
                     remembers.reset(env_ids)
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
-        """Return the cells between a term's name and its target in the printed table of terms."""
+        """Return the table cells that are printed between a term's name and the term's target."""
         del term
         return ()
 

@@ -1,7 +1,7 @@
 """Detect NaN and inf, name the term that produced them, and save the state that led to them.
 
-Each control step checks whether the sum over all values is finite. Single values are checked only if this sum is not
-finite.
+Each control step checks only whether the sum of all values is finite. If the sum of all values is not finite, the
+single values are checked.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from wheelleg_exp.managers.async_queries import is_calm, is_finite, note
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 
-MOST_SAVED = 16  # largest number of environments whose state is saved in one step
+MOST_SAVED = 16  # largest number of environments whose state is saved for one failure
 PHYSICS = "env.sim"
 ACTIONS = "env.actions"
 POLICY = "agent.actor"
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
-    """Return whether a summed element may be NaN or inf. The sum of large finite elements can also be inf."""
+    """Return whether a tensor's sum suggests NaN or inf. The sum of large finite elements can be inf."""
     return not is_finite(functools.reduce(torch.add, sums))
 
 
@@ -34,11 +34,11 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 
 
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
-    """Return the terms that produced NaN or inf in this step, and the state of the failed environments ``env_ids``.
+    """Report which terms produced NaN or inf in this step, and the state of the failed environments ``env_ids``.
 
-    In the result, ``keys`` are the config keys of the failed terms by environment, and ``evidence`` is the result of
-    the function ``evidence``. If the physics failed, only the physics is named, because the values of terms follow from
-    the physics.
+    The result has ``keys``, the config keys of the failed terms by environment, and ``evidence``, the result of the
+    function ``evidence``. If the physics failed, the result names only the physics, because NaN in the physics causes
+    NaN in terms.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
     chosen = set(env_ids.tolist())
@@ -53,9 +53,9 @@ def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
 def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
     """Return the state of the first ``MOST_SAVED`` of the environments ``ids``: arrays by name, one row for each.
 
-    ``state`` is the state of the engine. ``motion_at_start`` holds positions and velocities at the start of the control
-    step, because the engine resets a simulation that failed. ``model.<field>`` is a model field that an event changed.
-    Further tensors (N, ...) can be added by name.
+    The tensor ``state`` is the present state of the engine. ``motion_at_start`` has the positions and velocities at the
+    start of the control step, because the engine has already reset a failed simulation. ``model.<field>`` is a field of
+    the MuJoCo model that an event changed. The caller can add more tensors (N, ...) by name.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -77,13 +77,13 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
     """Raise SimulationFailure if the event at the config key ``path`` wrote NaN or inf in the environments ``ids``.
 
-    ``asked`` are the quantities, apart from states, that the event may have written (see ``Engine.asked``).
+    ``asked`` names the quantities, other than states, that the event may have written (see ``Engine.asked``).
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
-        before = set(ids_where(env.scene.unstable()).tolist())  # environments that failed before the event ran
+        before = set(ids_where(env.scene.unstable()).tolist())  # environments whose physics failed before the event ran
         for name, values in written.items():
             bad = set(failed_rows(values).tolist()) - before
             bad &= bad if ids is None else set(ids.tolist())
@@ -103,10 +103,10 @@ def note_observations(env: Env) -> None:
 
 
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
-    """Raise SimulationFailure if observations are NaN or inf.
+    """Raise SimulationFailure if observations contain NaN or inf.
 
     The error names the first observation term with NaN or inf. ``only`` (N,) bool selects environments. ``is_noted``
-    says that ``note_observations`` was called before.
+    means that ``note_observations`` was called for the present observations.
     """
     if is_noted and is_calm(env.device):
         return
@@ -136,7 +136,7 @@ def require_finite_actions(env: Env, actions: torch.Tensor) -> None:
 
 
 def failure(env: Env, key: str, what: str, ids: torch.Tensor, **more: torch.Tensor) -> SimulationFailure:
-    """Return the error for numbers that are NaN or inf, with the state of the environments where they occurred."""
+    """Return the error for NaN or inf, with the state of the environments in which they occurred."""
     first = ", ".join(str(i) for i in ids[:3].tolist()) + (", …" if len(ids) > 3 else "")
     message = f"{what} in {len(ids)} of {env.num_envs} environments ({first}), control step {env.common_step_counter}"
     found = evidence(env, ids, **more) if hasattr(env, "reward_manager") else {}

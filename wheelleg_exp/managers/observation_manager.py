@@ -18,11 +18,11 @@ from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.config_sections import read_section
 
-_SLICE = 100  # bytes of a Python slice with its two numbers
+_SLICE = 100  # memory of a Python slice object with two numbers, bytes
 
 
 class ObservationManager(Kept):
-    """Groups of observation terms. ``obs_buf`` holds the last result of ``compute``."""
+    """Groups of observation terms. The attribute ``obs_buf`` holds the last result of ``compute``."""
 
     def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
@@ -36,31 +36,31 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # True if masks, which have a fixed shape, select rows instead of ids
+        self.in_masks = False  # True if masks, whose shape is fixed, select rows instead of ids
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
     def active_terms(self) -> dict[str, list[str]]:
-        """Names of the observation terms of each group, in order."""
+        """Names of the observation terms by group, in the order of the config."""
         return {group: list(terms) for group, terms in self._groups.items()}
 
     @property
     def bound_terms(self) -> list[Term]:
-        """The bound terms of all groups, in order."""
+        """The bound observation terms of all groups, in the order of the config."""
         return [term.term for terms in self._groups.values() for term in terms.values()]
 
     def terms(self, group: str) -> dict[str, ObservationTerm]:
-        """Return the terms of a group by name, in order."""
+        """Return the observation terms of a group by name, in the order of the config."""
         return dict(self._groups[group])
 
     @property
     def group_obs_concatenate(self) -> dict[str, bool]:
-        """Whether the terms of each group are concatenated."""
+        """Whether the observations of a group's terms are concatenated, by group."""
         return {group: layout.concatenated for group, layout in self._layouts.items()}
 
     @property
     def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
-        """Shape of each term of each group, without the environments."""
+        """Shape of each term's observation by group, without the dimension of the environments."""
         return {group: [term.shape for term in terms.values()] for group, terms in self._groups.items()}
 
     @property
@@ -69,46 +69,46 @@ class ObservationManager(Kept):
         return {group: layout.shape for group, layout in self._layouts.items()}
 
     def term_parts(self, group: str) -> dict[str, list[slice]]:
-        """Return the slices of each term of a concatenated group along the joined dimension.
+        """Return, for each term, the slices of a concatenated group's observation that belong to the term.
 
         With ``history_order: time`` a term has one slice for each step, oldest first, otherwise one slice.
         """
         return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:
-        """Return the slice of each term of a concatenated group; ValueError if a term has several slices."""
+        """Return each term's slice of a concatenated observation; raise ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(f"the histories of group '{group}' are ordered by step, so a term has several slices")
+            raise ValueError(f"the histories of group '{group}' are ordered by step, so each term has several slices")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
-        """Return the observation of one term out of the observation of its group."""
+        """Extract the observation of one term from the observation of the term's group."""
         return self._layouts[group].part(term, value)
 
     def split(self, group: str, value: Group) -> dict[str, torch.Tensor]:
-        """Return the observation of a group by term."""
+        """Split the observation of a group into the observations of its terms, by name."""
         return {name: self.part(group, name, value) for name in self._groups[group]}
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return the last observation of one environment by term, as ``<group>-<term>``."""
+        """Return the last observation of one environment by term, with names such as ``<group>-<term>``."""
         split = {group: self.split(group, value) for group, value in self.obs_buf.items()}
         shown = {f"{group}-{name}": value for group, values in split.items() for name, value in values.items()}
         return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
     def distinct(self) -> list[Group]:
-        """Return the last observations, except of groups whose terms are the first terms of another group."""
+        """Return the last observations by group, without groups that are the beginning of another group's row."""
         return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:
-        """Sample the terms that have a delay, between two physics steps of a control step."""
+        """Sample all observation terms with a delay; called between two physics steps of a control step."""
         for term in self._late:
             term.sample_between()
 
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
         """Return the observation of every group, and advance noise, modifiers, and histories.
 
-        With a mask ``only`` (N,) bool, noise, modifiers, and histories change only in the environments of the mask.
+        With a mask ``only`` (N,) bool, noise, modifiers, and histories advance only in the environments of the mask.
         """
         before = None if only is None else self.state_dict()
         first, values = self._first_ids(), Values()
@@ -116,7 +116,7 @@ class ObservationManager(Kept):
             pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
             if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
                 self._unshare(group)
-        # A group that is a prefix of another group comes after that group.
+        # Compute a group that is the beginning of another group's row after that other group.
         order = sorted(self._groups, key=lambda group: group in self._prefixes)
         found = {group: self._computed(group, first, values) for group in order}
         self.obs_buf = {group: found[group] for group in self._groups}
@@ -128,7 +128,7 @@ class ObservationManager(Kept):
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:
-        """Return the observations without noise, and without changing any state."""
+        """Return the observations without noise; do not change any state."""
         first = self._first_ids()
         found: dict[str, Group] = {}
         for group, terms in self._groups.items():
@@ -182,7 +182,7 @@ class ObservationManager(Kept):
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim
-            if length is None:  # the history settings of a group override the history settings of its terms
+            if length is None:  # history settings of a group override those of the group's terms
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
@@ -196,7 +196,7 @@ class ObservationManager(Kept):
         self._find_prefixes(group)
 
     def _find_prefixes(self, added: str) -> None:
-        """Share one row between two groups, if the terms of one group are the first terms of the other."""
+        """Share one row between two observation groups if the terms of one group are the first terms of the other."""
         for known in [group for group in self._rows if group not in self._prefixes and group != added]:
             part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
             if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._prefixes.values():
@@ -262,12 +262,12 @@ class ObservationManager(Kept):
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
     """Raise ConfigError if the observation histories do not fit into memory.
 
-    The error names ``key``, or the term with the longest history if ``key`` is empty.
+    The error names the config key ``key``, or if it is empty, the term with the longest history.
     """
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # Each step copies the float32 numbers once. RowHistory has an int64 index for each number, and copies the index.
+    # Memory per number: 2 float32 copies in each environment, and 2 int64 indices of RowHistory.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

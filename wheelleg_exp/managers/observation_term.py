@@ -22,7 +22,7 @@ from wheelleg_exp.terms.term_errors import failure
 
 @dataclass
 class Values:
-    """Observation values of this step, by the term that computed the value first.
+    """Observation values of the present step, by the term that computed the value first.
 
     Attributes:
         raw: results of the functions.
@@ -34,9 +34,9 @@ class Values:
 
 
 class ObservationTerm(Kept):
-    """One term of a group: ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
+    """One observation term. The order is ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
-    ``corrupt`` says whether the group applies noise. A ``history_length`` of 0 means no history.
+    ``corrupt`` is the setting of the observation group that enables noise. A ``history_length`` of 0 means no history.
     """
 
     outside_graphs = ("_part_forms", "width", "shape", "sample_shape", "history_length", "_flatten", "_same_sample")
@@ -104,9 +104,9 @@ class ObservationTerm(Kept):
                 return
 
     def _processes_as(self) -> Any:
-        """Return clip and scale of the term, for comparison.
+        """Return clip and scale of the observation term, to compare two terms.
 
-        A term with state, random draws, or tensors equals no other term.
+        A term with state, random draws, or tensors is never equal to another term.
         """
         plain = not self._modifiers and self._noise is None and self.delay is None
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
@@ -117,14 +117,14 @@ class ObservationTerm(Kept):
         return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
 
     def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether another term has equal samples and an equal history length."""
+        """Return whether another observation term always has equal samples and an equal history length."""
         shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
         return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
         """Draw noise, advance delay and modifiers, and return the sample (N, ...).
 
-        The sample is also added to ``values``.
+        The sample is also stored in ``values``, so that other terms can reuse it.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -142,12 +142,12 @@ class ObservationTerm(Kept):
         return sample
 
     def sample_between(self) -> None:
-        """Sample between two physics steps of a control step; only for terms with a delay."""
+        """Sample a term that has a delay; called between two physics steps of a control step."""
         assert self.delay is not None
         self.delay.push(self.term(self._env))
 
     def peek(self) -> torch.Tensor:
-        """Return the sample without noise and without changing any state."""
+        """Return the sample of the term without noise; do not change any state."""
         owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
         states = [owner.state_dict() for owner in owners]
         stream = None if self.term.generator is None else self.term.generator.get_state()
@@ -160,16 +160,16 @@ class ObservationTerm(Kept):
         return value
 
     def shown(self, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, ...) in the shape of the observation."""
+        """Reshape a history (N, H, ...) to the shape of the observation."""
         return history.flatten(1) if self._flatten else history
 
     def parts(self) -> dict[str, Any]:
-        """Return the modifiers and the noise by config key."""
+        """Return the modifier and noise objects of the term by config key."""
         found = {f"modifiers[{number}]": modifier for number, modifier in enumerate(self._modifiers)}
         return found | ({} if self._noise is None else {"noise": self._noise})
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers, noise, and delay of ``env_ids``; the next sample fills the histories."""
+        """Reset the term object, modifiers, noise, and delay in ``env_ids``; the next sample fills their histories."""
         if isinstance(self.term.func, TermBase):
             self.term.func.reset(env_ids)
         for modifier in self._modifiers:
@@ -197,7 +197,7 @@ class ObservationTerm(Kept):
 
     def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
         if self._modifiers or self._noise is not None:
-            value = value.clone()  # a user-defined modifier may write into the value
+            value = value.clone()  # copy the value, because a user-defined modifier may write to it
         for number, modifier in enumerate(self._modifiers):
             value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
@@ -217,7 +217,7 @@ class ObservationTerm(Kept):
 
 
 def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    """Return whether two observation terms have equal parameters that cannot change in place."""
+    """Return whether the parameters of two observation terms are equal and cannot change in place."""
     for name, value in mine.items():
         other = theirs.get(name)
         if isinstance(value, SceneEntityCfg) and isinstance(other, SceneEntityCfg):
@@ -267,14 +267,14 @@ class GroupLayout:
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
         self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
-        self._dim += self._dim >= 0  # the first dimension of a batch is the environments
+        self._dim += self._dim >= 0  # skip the first dimension of a batch, the environments
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, ...) of one term in the shape that ``join`` expects."""
+        """Reshape a history (N, H, ...) of one term to the shape that ``join`` expects."""
         return history if self.by_time else term.shown(history)
 
     def join(self, values: dict[str, torch.Tensor]) -> Group:
-        """Return the observation of the group, given the observations of its terms."""
+        """Join the observations of a group's terms to the observation of the group."""
         if not self.concatenated:
             return values
         if self.by_time:
@@ -282,7 +282,7 @@ class GroupLayout:
         return torch.cat(list(values.values()), dim=self._dim)
 
     def part(self, name: str, value: Group) -> torch.Tensor:
-        """Return the observation (n, ...) of one term, given that of the group. Histories are ordered oldest first."""
+        """Extract the observation (n, ...) of one term from that of the group. Histories are ordered oldest first."""
         if not isinstance(value, torch.Tensor):
             return value[name]
         found = [value.narrow(self._dim, part.start, part.stop - part.start) for part in self.parts[name]]
@@ -290,7 +290,7 @@ class GroupLayout:
 
 
 def _parts(widths: Mapping[str, int], steps: int) -> dict[str, list[slice]]:
-    """Return the slices of each term in a row that repeats all terms ``steps`` times."""
+    """Return the slices of each term in an observation row that repeats all terms ``steps`` times."""
     found: dict[str, list[slice]] = {name: [] for name in widths}
     start = 0
     for _ in range(steps):
@@ -309,7 +309,7 @@ def _require_joinable(shapes: Mapping[str, tuple[int, ...]], dim: int, path: str
     if len({len(shape) for shape in shapes.values()}) > 1 or len(others) > 1:
         listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
         raise ConfigError(
-            f"terms of different shapes cannot be joined: {listed}",
+            f"observation terms of different shapes cannot be concatenated: {listed}",
             key=f"{path}.terms",
             expected="one history_length and flatten_history_dim for all, value.flatten(1) in terms that return more "
             "than vectors, or concatenate_terms: false",

@@ -1,4 +1,4 @@
-"""Recorders: save each episode as part of a dataset. Recorders read the environment and change nothing."""
+"""Recorders: save each episode as part of a dataset. Recorders only read the environment and never change it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 Recorded = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
 Arrays = dict[str, np.ndarray]
-_SUCCESS = "success"  # the termination whose firing makes an episode a success
-_OWN = ("episode", "rows")  # prefixes of reserved keys, which describe the episodes
+_SUCCESS = "success"  # name of the termination that makes an episode a success
+_OWN = ("episode", "rows")  # reserved prefixes of keys that describe episodes
 _FIRST_ROOM = 64  # rows
 
 
 class Rows:
-    """The rows (N, …) of one recorded quantity. Rows are deleted after no current episode needs them."""
+    """Stores the rows (N, …) of one recorded quantity. A row is deleted once it belongs to no current episode."""
 
     def __init__(self, num_envs: int) -> None:
         self._num_envs = num_envs
@@ -32,7 +32,7 @@ class Rows:
         self._starts = np.zeros(num_envs, dtype=np.int64)
 
     def append(self, value: np.ndarray, owner: str) -> None:
-        """Append ``value`` (N, …); ``owner`` is the config key of the recorder."""
+        """Append a row ``value`` (N, …); ``owner`` is the config key of the recorder."""
         if self._count and value.shape != self._rows.shape[1:]:
             message = f"the recorded shape is {value.shape}, and was {self._rows.shape[1:]}"
             raise ConfigError(message, key=owner, expected="the same shape at every call")
@@ -56,7 +56,7 @@ class Rows:
         return self._rows[self._starts[env_id] : self._count, env_id]
 
     def begin(self, ids: np.ndarray) -> None:
-        """Start new episodes of the environments ``ids``. Earlier rows do not belong to the new episodes."""
+        """Start new episodes of the environments ``ids``. Older rows do not belong to the new episodes."""
         self._starts[ids] = self._count
 
     def _make_room(self, value: np.ndarray) -> None:
@@ -69,9 +69,9 @@ class Rows:
 
 
 def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays (rows, …) that a hook returned, by key; the arrays of a mapping by ``key/name``.
+    """Yield the arrays (rows, …) that a hook returned, by key; arrays of a mapping have the keys ``key/name``.
 
-    ``source`` describes the hook for messages, and ``code`` is the hook.
+    ``source`` describes the hook in error messages, and ``code`` is the hook function.
     """
     found = described(returned)
     if isinstance(returned, tuple) and len(returned) == 2:
@@ -98,14 +98,14 @@ def _flatten(key: Any, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 class RecorderTerm(TermBase):
-    """Records quantities by key. Subclasses override the hooks that they need.
+    """Records quantities by key. A subclass overrides only the hooks that it needs.
 
-    A hook returns a key and a tensor with one row for each environment, or a mapping of such tensors, whose keys are
-    joined by ``/``; or None and None.
+    A hook returns a key and a tensor with one row for each environment, or a key and a mapping of such tensors; the
+    mapping's keys are appended with ``/``. A hook without data returns None and None.
 
     Attributes:
-        reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before
-            the resets, without noise. Computing these observations changes no state and no random stream.
+        reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before the
+            resets, without noise. Computing observations for recorders changes no state and no random stream.
     """
 
     reads_observations: ClassVar[bool] = True
@@ -114,32 +114,33 @@ class RecorderTerm(TermBase):
         self._env = env
 
     def record_pre_step(self) -> Recorded:
-        """Return quantities before an action is applied; ``obs_buf`` holds the observations that led to the action."""
+        """Return quantities to record before an action; ``obs_buf`` has the observations before the action."""
         return None, None
 
     def record_post_physics_decimation_step(self) -> Recorded:
-        """Return quantities after a physics step, before sensors are read."""
+        """Return quantities to record after a physics step, before sensors are read."""
         return None, None
 
     def record_post_step(self) -> Recorded:
-        """Return quantities at the end of a control step, before the resets."""
+        """Return quantities to record at the end of a control step, before environments are reset."""
         return None, None
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> Recorded:  # noqa: ARG002
-        """Return quantities at the end of the episodes of ``env_ids``, one row for each of these environments."""
+        """Return quantities to record at the end of the episodes of ``env_ids``, with one row per environment."""
         return None, None
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:  # noqa: ARG002
-        """Return quantities at the start of the new episodes of ``env_ids``, one row for each of these environments."""
+        """Return quantities to record at the start of the new episodes of ``env_ids``, with one row per environment."""
         return None, None
 
 
 class RecorderManager(ManagerBase):
-    """Splits recorded rows into episodes, and returns the finished episodes to the writer of the dataset.
+    """Splits recorded rows into episodes, and passes finished episodes to the writer of the dataset.
 
-    A dataset holds complete episodes. An episode is left out if a state was loaded during the episode, because its
+    A dataset holds complete episodes. If a state was loaded during an episode, the episode is omitted, because its
     start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and without
-    recorders. With Gymnasium's ``next_step``, the step that only resets is the last step of an episode.
+    recorders. With Gymnasium's autoreset mode ``next_step``, the step that only resets counts as the last step of an
+    episode.
     """
 
     kind = "recorders"
@@ -151,7 +152,7 @@ class RecorderManager(ManagerBase):
         for term in self._terms.values():
             if not isinstance(term.func, RecorderTerm):
                 expected = "a subclass of RecorderTerm"
-                raise ConfigError(f"'{term.target}' is not a recorder", key=term.path, expected=expected)
+                raise ConfigError(f"'{term.target}' is not the class of a recorder", key=term.path, expected=expected)
         self._hooks: dict[str, list[tuple[Term, RecorderTerm]]] = {}
         for hook in (name for name in vars(RecorderTerm) if name.startswith("record_")):
             pairs: Any = [(term, term.func) for term in self._terms.values()]
@@ -165,7 +166,7 @@ class RecorderManager(ManagerBase):
         self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = {}
 
     def record_pre_step(self) -> None:
-        """Record quantities before the action is applied."""
+        """Call all recorders before the action is applied."""
         self._append("record_pre_step")
 
     def record_post_physics_decimation_step(self) -> None:
@@ -173,7 +174,7 @@ class RecorderManager(ManagerBase):
         self._append("record_post_physics_decimation_step")
 
     def record_post_step(self) -> None:
-        """Record quantities after rewards and terminations, before the resets; see ``reads_observations``."""
+        """Call all recorders after rewards and terminations, before the resets; see ``reads_observations``."""
         manager = self._env.observation_manager
         present = manager.obs_buf
         if self._reads:
@@ -184,7 +185,7 @@ class RecorderManager(ManagerBase):
             manager.obs_buf = present
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> None:
-        """Finish the episodes of ``env_ids`` that had at least one step and whose start was recorded."""
+        """Finish those episodes of ``env_ids`` that had at least one step and whose start was recorded."""
         if not self._terms or self._options.export_mode == "none":
             return
         self._finish_episodes(env_ids, self._only("record_pre_reset", env_ids))
@@ -198,7 +199,7 @@ class RecorderManager(ManagerBase):
             self._initial.setdefault(key, Rows(self._num_envs)).set(ids, value)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Start new episodes of ``env_ids``; recorders log nothing."""
+        """Start new episodes of the environments ``env_ids``; return an empty log."""
         if self._terms:
             ids = env_ids.cpu().numpy()
             for rows in self._rows.values():
@@ -214,19 +215,19 @@ class RecorderManager(ManagerBase):
             self._is_whole[:] = False
 
     def take(self) -> dict[str, Arrays]:
-        """Return the episodes that have ended since the last call, by group, as arrays by name.
+        """Return the episodes that have ended since the last call, by group; each group has arrays by name.
 
-        Groups are ``episodes``, or ``succeeded`` and ``failed``. ``episode/env``, ``episode/length`` (control steps),
-        ``episode/last_step`` (control steps since construction), and ``episode/success`` have one number for each
-        episode. The array of each quantity holds the rows of all episodes in order; ``rows/<key>`` holds the number of
-        rows of each episode.
+        The groups are ``episodes``, or ``succeeded`` and ``failed``. The arrays ``episode/env``, ``episode/length``
+        (control steps), ``episode/last_step`` (control steps since construction), and ``episode/success`` have one
+        number for each episode. The array of each quantity holds the rows of all episodes in order; ``rows/<key>``
+        holds the number of rows of each episode.
         """
         found = {group: _joined(episodes) for group, episodes in self._finished.items()}
         self._finished = {}
         return found
 
     def forget(self) -> None:
-        """Leave the current episodes out of the dataset after a state was loaded."""
+        """Omit the current episodes from the dataset, because a state was loaded."""
         self._is_whole[:] = False
 
     def state_dict(self) -> dict[str, Any]:
@@ -245,9 +246,13 @@ class RecorderManager(ManagerBase):
                 for key, _ in found:
                     first = self._owners.setdefault(key, term.path)
                     if first != term.path:
-                        raise ConfigError(f"'{key}' is already recorded by {first}", expected="a key for each quantity")
+                        raise ConfigError(
+                            f"the key '{key}' is already recorded by {first}", expected="a key for each quantity"
+                        )
                     if key.split("/")[0] in _OWN:
-                        raise ConfigError(f"'{key}' is reserved for data about episodes", expected="another key")
+                        raise ConfigError(
+                            f"the key '{key}' is reserved for data about episodes", expected="another key"
+                        )
             yield from found
 
     def _append(self, hook: str) -> None:

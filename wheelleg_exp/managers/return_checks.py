@@ -1,6 +1,7 @@
-"""Check the return value of a term against the form that its manager needs. The message states what to write instead.
+"""Check that the return value of a term has the required form. The error message states what to return.
 
-The first call of a term checks the whole form. Later calls check only the shape.
+After the first call of a term, type, shape, and device of the return value are checked. After later calls of a term,
+only the shape of the return value is checked.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 
 class Form(Protocol):
-    """The required form of a return value."""
+    """Base class of the required forms of a term's return value."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a quick comparison shows that ``value`` is valid. If not, ``check`` decides."""
+        """Return whether a fast check is enough to show that ``value`` is valid. If not, ``check`` decides."""
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError, without a key, if ``value`` is invalid; ``source`` names the function that returned it."""
+        """Raise ConfigError without a key if ``value`` is invalid; ``source`` names the function that returned it."""
 
 
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
-    """Raise ConfigError at the config key ``path`` unless a return value has the required form.
+    """Raise ConfigError with the config key ``path`` unless a return value has the required form.
 
-    ``source`` describes the function that returned the value. ``code`` is this function or its object.
+    ``source`` describes the function that returned the value. ``code`` is the function that returned the value, or its
+    object.
     """
     try:
         form.check(value, source)
@@ -45,7 +47,7 @@ class TensorForm:
     Attributes:
         rows: number of environments, N.
         dtype: type of the elements; None allows any real type.
-        width: None for shape (N,), 0 for (N, width) with any constant width, otherwise the width.
+        width: the required width, None for the shape (N,), 0 for (N, width) with any constant width.
         deep: whether a row may have further dimensions, as images do.
         what: description of one row.
     """
@@ -60,11 +62,11 @@ class TensorForm:
 
     @property
     def is_known(self) -> bool:
-        """Whether a valid tensor was returned before."""
+        """Whether an earlier call of the term has returned a valid tensor."""
         return self._shape is not None
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value has the shape of the first valid tensor."""
+        """Return whether a value has the same shape as the first valid return value."""
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
@@ -122,14 +124,16 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 
 @dataclass
 class NoForm:
-    """The required form of a term that must return None. The manager would ignore any other return value."""
+    """The required form for a term without a return value. Managers ignore return values of such a term."""
 
     def fits(self, value: Any) -> bool:
         return value is None
 
     def check(self, value: Any, source: str) -> None:
         if value is not None:
-            raise ConfigError(f"{source} returns {described(value)}, which is not used", expected="no return value")
+            raise ConfigError(
+                f"{source} returns {described(value)}, which the manager ignores", expected="no return value"
+            )
 
 
 @dataclass

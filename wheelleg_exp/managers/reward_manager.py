@@ -14,7 +14,7 @@ from wheelleg_exp.sim.ids import not_finite
 
 
 class RewardManager(ManagerBase):
-    """``reward = sum over terms of value * weight * dt``. A term of weight 0 is not called.
+    """The formula is ``reward = sum over terms of value * weight * dt``. A reward term with weight 0 is not called.
 
     Attributes:
         step_reward: weighted value of each term in this step, per second, (terms, N).
@@ -39,15 +39,16 @@ class RewardManager(ManagerBase):
         self._read_weights()
 
     def start_step(self) -> None:
-        """Re-read the weights, which a curriculum may have changed, and clear the failures of the last step."""
+        """Re-read the reward weights, which a curriculum may have changed, and clear the failures of the last step."""
         self.non_finite.clear()
         if self._weights != self._present_weights():
             self._read_weights()
 
     def compute(self, dt: float, skipped: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the reward (N,) of this step: ``sum over terms of value * weight * dt``.
+        """Return the reward (N,) of this step. The result is the ``sum over terms of value * weight * dt``.
 
-        ``dt`` is the duration of the step, s. The reward of the ``skipped`` environments (N,) bool is 0.
+        ``dt`` is the duration of the control step, s. The reward of the environments in the mask ``skipped`` (N,) bool
+        is 0.
         """
         self.start_step()
         if self._terms:
@@ -69,7 +70,7 @@ class RewardManager(ManagerBase):
         self._factors = self.step_reward.new_tensor(self._weights).unsqueeze(1)
 
     def exclude(self, env_ids: torch.Tensor) -> None:
-        """Name in ``non_finite`` the terms whose values are NaN or inf in ``env_ids``, and set the values to 0."""
+        """Store in ``non_finite`` the terms with NaN or inf in ``env_ids``, and set the NaN and inf values to 0."""
         self._raw_values = self.step_reward.clone()
         for env_id in env_ids.tolist():
             bad = (~self.step_reward[:, env_id].isfinite()).tolist()
@@ -78,12 +79,12 @@ class RewardManager(ManagerBase):
 
     @property
     def raw_values(self) -> torch.Tensor:
-        """``step_reward`` including values that are NaN or inf, (terms, N)."""
+        """The rewards of this step per term, (terms, N), including NaN and inf."""
         return self._raw_values if self.non_finite else self.step_reward
 
     @property
     def _episode_sums(self) -> dict[str, torch.Tensor]:
-        """Reward sums of the current episodes (N,) by term, under the name that Isaac Lab's curricula use."""
+        """Reward sums over the current episodes, (N,) by term; Isaac Lab's curricula use this attribute name."""
         return dict(zip(self._terms, self._sums.unbind(), strict=True))
 
     def episode_sums(self, name: str) -> torch.Tensor:
@@ -92,7 +93,7 @@ class RewardManager(ManagerBase):
         return self._sums[self.active_terms.index(name)]
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return the weighted reward per second of each term in this step of one environment."""
+        """Return each term's weighted reward per second in this control step, for one environment."""
         return [(name, [value]) for name, value in zip(self._terms, self.step_reward[:, env_idx].tolist(), strict=True)]
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""Histories of the last samples of observations, oldest first, and delays.
+"""Store histories of the last observation samples, oldest first, and delay observations.
 
-Each append creates a new tensor, so returned histories never change. The first sample of an episode fills
-the whole history, as in Isaac Lab. ``first`` names the environments where the sample is the first of an episode: ids,
-a mask (N,) bool, or None.
+Each append creates a new tensor, so that returned histories never change. The first sample of an episode fills the
+whole history, as in Isaac Lab. ``first`` names the environments where the sample is the first of an episode: ids, a
+mask (N,) bool, or None.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from wheelleg_exp.sim.delay import DelayBuffer
 
 
 class HistoryBuffer:
-    """The last H samples of each environment, (N, H, ...)."""
+    """A buffer of the last H samples of each environment, (N, H, ...)."""
 
     def __init__(self, num_envs: int, length: int, shape: torch.Size, device: torch.device) -> None:
         self.samples = torch.zeros(num_envs, length, *shape, device=device)
 
     def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
-        """Append a sample (N, ...), drop the oldest, and return the history (N, H, ...)."""
+        """Append a sample (N, ...), drop the oldest sample, and return the history (N, H, ...)."""
         self.samples = self.appended(sample, first)
         return self.samples
 
     def appended(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
-        """Return the result of ``append`` without storing the sample."""
+        """Return the history that ``append`` would return, but do not store the sample."""
         newest = sample.unsqueeze(1)
         after = torch.cat((self.samples[:, 1:], newest), dim=1)
         if first is not None and first.dtype == torch.bool:
@@ -49,7 +49,8 @@ class HistoryBuffer:
 class RowHistory:
     """Histories of several terms in one row for each environment: term by term, each oldest first.
 
-    ``widths`` are the widths of one sample of each term. The ``lengths`` 0 and 1 both mean only the newest sample.
+    ``widths`` are the numbers of elements in one sample of each term. A length of 0 or 1 in ``lengths`` means that only
+    the newest sample is stored.
     """
 
     def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
@@ -71,7 +72,7 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the row after ``append`` without storing the row. With fewer samples, return only the first terms."""
+        """Return the row that ``append`` would return. For fewer samples, return only the first terms."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -91,26 +92,26 @@ class RowHistory:
         return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
 
     def part(self, index: int) -> RowHistoryPart:
-        """Return the history of one term."""
+        """Return the history of one term in the row."""
         return RowHistoryPart(self, self._spans[index], self._widths[index])
 
 
 class RowHistoryPart:
-    """The history of one term in a ``RowHistory``. The state dict has the form of a ``HistoryBuffer``'s state dict."""
+    """One term's history in a ``RowHistory``. The state dict has the same form as that of a ``HistoryBuffer``."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
         self._row, self._span, self._width = row, span, width
 
     @property
     def samples(self) -> torch.Tensor:
-        """The last samples, oldest first, (N, H, width)."""
+        """The last samples of the term, oldest first, (N, H, width)."""
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        self._row.values = self._row.values.clone()  # the caller may still refer to the old row
+        self._row.values = self._row.values.clone()  # copy the row, because a caller may still use the old tensor
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 

@@ -1,4 +1,4 @@
-"""Builds the scene from the ``env.sim``, ``env.scene`` and ``env.robot`` sections."""
+"""Builds the scene from the config sections ``env.sim``, ``env.scene`` and ``env.robot``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from wheelleg_exp.terms.config_sections import read_section
 class SceneManager:
     """The scene, built from the composed ``env`` section and the robot's MJCF file.
 
-    ``stream`` returns the random stream of a config path. ``stream`` is None for a scene that is only inspected.
+    ``stream`` returns the random stream for a config key. ``stream`` is None for a scene that is only inspected, not
+    simulated.
     """
 
     def __init__(

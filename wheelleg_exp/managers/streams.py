@@ -26,7 +26,7 @@ class Streams(Kept):
         self._generators: dict[str, NamedStream] = {}
 
     def get(self, path: str) -> torch.Generator:
-        """Return the generator of the stream that a term's config path names."""
+        """Return the random generator of a term, whose config key names the stream."""
         if path not in self._generators:
             self._generators[path] = NamedStream(self._device)
             self._generators[path].manual_seed(stream_seed(self._seed, path))
@@ -47,14 +47,14 @@ class Streams(Kept):
         return {"seed": self._seed, "generators": generators}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        self.reseed(saved["seed"])  # a stream that is missing in the saved state starts from the seed
+        self.reseed(saved["seed"])  # streams that the saved state lacks start from the seed
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
 
 
 @contextmanager
 def lent(generator: torch.Generator | None) -> Iterator[None]:
-    """Use a random stream as torch's global generator of the stream's device, within the ``with`` block."""
+    """Inside the ``with`` block, use a random stream as torch's global generator on the stream's device."""
     if generator is None:
         yield
         return

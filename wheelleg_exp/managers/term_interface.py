@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Env(Protocol):
-    """The interface of the environment that terms use. Names and meanings are Isaac Lab's.
+    """The attributes and methods of the environment that terms use. Isaac Lab defines their names and meanings.
 
     Attributes:
         cfg: the composed ``env`` section, by attribute or key.
@@ -67,7 +67,7 @@ Ids = torch.Tensor | Sequence[int] | slice
 
 @dataclass
 class SceneEntityCfg:
-    """A member of the scene, with joints and bodies by expression.
+    """A robot or sensor of the scene, with joints and bodies selected by regular expressions.
 
     Args:
         name: the member's name, ``robot``, ``terrain`` or a sensor's.
@@ -96,7 +96,7 @@ class SceneEntityCfg:
     preserve_order: bool = False
 
     def resolve(self, scene: Scene, path: str = "SceneEntityCfg") -> None:
-        """Find the indices of joints and bodies in the scene. ``path`` is the config key of this entity."""
+        """Find the indices of the selected joints and bodies in the scene. Errors name the config key ``path``."""
         entity = member(scene, self.name, f"{path}.name")
         if self.joint_names is not None:
             if not hasattr(entity, "find_joints"):
@@ -116,7 +116,7 @@ class SceneEntityCfg:
                 raise ConfigError(f"'{self.name}' does not support '{name}'", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the selected bodies. After ``resolve``, the host does not wait for a GPU."""
+        """Return the indices of the selected bodies. After a call of ``resolve``, the host does not wait for a GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
@@ -127,7 +127,7 @@ class SceneEntityCfg:
 
 
 def member(scene: Scene, name: str, key: str) -> Any:
-    """Return a member of the scene by name; raise ConfigError at ``key`` if it does not exist."""
+    """Return a robot or sensor of the scene by name; raise ConfigError with ``key`` if the name does not exist."""
     if name not in list(scene):
         known, nearest = "one of " + ", ".join(scene), nearest_name(name, scene)
         raise ConfigError(f"the scene has no '{name}'", key=key, expected=known, nearest=nearest)
@@ -135,7 +135,7 @@ def member(scene: Scene, name: str, key: str) -> Any:
 
 
 def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
-    """Return indices as a tensor or a slice. Negative indices count from the end of ``count`` elements."""
+    """Return ids as a tensor or a slice. Negative indices count from the end (``count``)."""
     if isinstance(ids, (torch.Tensor, slice)):
         return ids
     return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
@@ -154,7 +154,7 @@ def _listed(names: str | Sequence[str]) -> list[str]:
 def bounds(
     ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return lower and upper bounds (k,) of named ranges on a device; the range of a missing axis is (0, 0)."""
+    """Return the lower and upper bounds (k,) of named ranges as tensors; a missing axis has the range (0, 0)."""
     require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
     pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
     return pairs[:, 0], pairs[:, 1]

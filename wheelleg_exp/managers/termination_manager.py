@@ -18,8 +18,8 @@ from wheelleg_exp.sim.ids import narrowed
 class TerminationManager(ManagerBase):
     """Evaluates the termination terms.
 
-    Terms with ``time_out`` truncate the episode; all other terms terminate the episode. Both kinds may fire in one
-    step.
+    Termination terms with ``time_out`` truncate the episode; all other termination terms terminate it. An episode can
+    be truncated and terminated in the same step.
 
     Attributes:
         fired: where each term fired in this step, (terms, N) bool.
@@ -46,27 +46,27 @@ class TerminationManager(ManagerBase):
 
     @property
     def dones(self) -> torch.Tensor:
-        """Mask of the environments whose episode ended in this step, (N,) bool."""
+        """Mask (N,) of the environments whose episode ended in this step."""
         return self.terminated | self.time_outs
 
     def get_term(self, name: str) -> torch.Tensor:
-        """Return the environments where a term fired in this step, (N,) bool."""
+        """Return a mask (N,) of the environments in which a termination term fired in this step."""
         self.get_term_cfg(name)
         return self.fired[self.active_terms.index(name)]
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-        """Return which terms fired in this step in one environment, 1 or 0 by term."""
+        """Return which termination terms fired in this step in one environment, as 1 or 0 by term."""
         flags = self.fired[:, env_idx].tolist()
         return [(name, [float(flag)]) for name, flag in zip(self._terms, flags, strict=True)]
 
     def endings(self, env_ids: torch.Tensor) -> Counter[str]:
-        """Count the environments of ``env_ids`` (or of a mask) by the terminations that ended them in this step."""
+        """Count the environments ``env_ids`` (or a mask) by the terminations that ended their episodes in this step."""
         return _endings(self.active_terms, self.fired[:, env_ids])
 
     def compute(self, skipped: torch.Tensor | None = None) -> torch.Tensor:
-        """Evaluate every term and return which environments are done, (N,) bool.
+        """Evaluate every termination term; return a mask (N,) of the environments whose episode ends.
 
-        The episode of the ``skipped`` environments (N,) bool does not end in this step.
+        Episodes of the environments in the mask ``skipped`` (N,) bool do not end in this step.
         """
         if self._terms:
             torch.stack([term(self._env) for term in self._terms.values()], out=self.fired)
@@ -79,7 +79,7 @@ class TerminationManager(ManagerBase):
         return done
 
     def force(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """End the episodes of ``env_ids`` as failed, even if no term fired; return all done environments, (N,) bool."""
+        """End the episodes of ``env_ids`` as failed, even if no term fired; return the mask (N,) of ended episodes."""
         self.terminated[env_ids] = True
         self._last_episode[:, env_ids] = self.fired[:, env_ids]
         return self.dones
@@ -93,7 +93,7 @@ class TerminationManager(ManagerBase):
     def last_endings(self) -> Counter[str]:
         """Count the environments by the terminations that ended their last episode.
 
-        An environment without a finished episode, or whose last episode no termination ended, counts as ``none``.
+        An environment counts as ``none`` if it has no finished episode, or if no termination ended its last episode.
         """
         found = _endings(self.active_terms, self._last_episode)
         return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
@@ -103,6 +103,6 @@ class TerminationManager(ManagerBase):
 
 
 def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
-    """Count the environments by the joined names of the terms that fired in the same step, from flags (T, n)."""
+    """Count environments by the joined names of the terms that fired in the same step, given flags (T, n)."""
     columns = fired.T.tolist()
     return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

@@ -1,4 +1,4 @@
-"""The library of stock terms, which tasks select in YAML.
+"""The library of predefined manager terms, which tasks select in YAML.
 
 | module | what it offers |
 |---|---|

@@ -1,7 +1,7 @@
 """Action terms: the targets that a policy's output sets.
 
-An action term scales the raw action, adds the offset, and clips the sum; the result is the target. The field ``delay``
-of a term delays its targets by some physics steps.
+An action term multiplies the raw action by a scale, adds an offset, and clips the sum to get the joint target. The
+field ``delay`` of an action term delays the term's targets by a number of physics steps.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class JointTerm(ActionTerm):
         self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Zero the raw actions of ``env_ids``. The processed actions do not change, as in Isaac Lab."""
+        """Set the raw actions of ``env_ids`` to zero. As in Isaac Lab, the processed actions do not change."""
         self.raw_actions.index_fill_(0, env_ids, 0.0)
 
     def _set_targets(self) -> None:
@@ -70,7 +70,7 @@ class JointTerm(ActionTerm):
 
 
 class JointAction(JointTerm):
-    """An affine action on joints, ``processed = clip(raw * scale + offset)``.
+    """An affine joint action, ``processed = clip(raw * scale + offset)``.
 
     Args:
         scale: factor on the raw action; a number, or one by joint expression.
@@ -99,7 +99,7 @@ class JointAction(JointTerm):
         self._clip()
 
     def raw_for(self, processed: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions (N, action_dim) that give the processed actions (N, J), without clipping."""
+        """Return the raw actions (N, action_dim) that would give the processed actions (N, J) without clipping."""
         return (processed - self._offset) / self._scale
 
 
@@ -108,7 +108,7 @@ class _DefaultOffsetAction(JointAction):
 
     @property
     def applies_once(self) -> bool:
-        """Whether targets are set once per control step; a user-defined subclass may set targets more often."""
+        """Whether targets are set only once per control step; a user-defined subclass may set them more often."""
         return type(self).__module__ == __name__
 
     def __init__(
@@ -175,7 +175,7 @@ class RelativeJointPositionAction(JointAction):
 
 
 class JointVelocityAction(_DefaultOffsetAction):
-    """Velocity targets of joints, rad/s. The targets are also clipped to the actuator's velocity limit.
+    """Velocity targets of joints, rad/s. The velocity targets are also clipped to the actuator's velocity limit.
 
     Args:
         scale: rad/s per unit of action.
@@ -204,7 +204,7 @@ class JointEffortAction(JointAction):
 class JointPositionToLimitsAction(JointTerm):
     """Position targets: the clipped ``raw * scale`` is mapped from [-1, 1] to the joints' soft limits.
 
-    Unlike in Isaac Lab's term, ``preserve_order`` also applies if the term drives all joints.
+    Unlike in Isaac Lab, ``preserve_order`` also has an effect if the action term drives all joints.
 
     Args:
         scale: factor on the raw action; a number, or one by joint expression.
@@ -250,9 +250,9 @@ class JointPositionToLimitsAction(JointTerm):
 
 
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
-    """A moving average of ``JointPositionToLimitsAction``, ``target = alpha * new + (1 - alpha) * last``.
+    """A ``JointPositionToLimitsAction`` with smoothed targets, ``target = alpha * new + (1 - alpha) * last``.
 
-    The joint targets are clamped to the joints' soft limits. The first average of an episode starts from the joint
+    The joint targets are clamped to the joints' soft limits. In the first step of an episode, ``last`` is the joint
     positions.
 
     Args:
@@ -318,7 +318,7 @@ class BinaryJointAction(JointTerm):
         self._clip()
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return whether each raw action (N, 1) opens the joints."""
+        """Return for each raw action (N, 1) whether the joints open."""
         return ~(actions < 0.0)
 
     def _command(self, values: Mapping[str, float], key: str) -> torch.Tensor:
@@ -368,5 +368,5 @@ class AbsBinaryJointPositionAction(BinaryJointPositionAction):
         self._threshold, self._positive = threshold, positive_threshold
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return whether each raw action (N, 1) opens the joints."""
+        """Return for each raw action (N, 1) whether the joints open."""
         return actions > self._threshold if self._positive else actions < self._threshold

@@ -1,4 +1,4 @@
-"""Read and write settings of an environment by address, such as ``commands.base_velocity.ranges.lin_vel_x[1]``."""
+"""Read and write an environment's settings by address, such as ``commands.base_velocity.ranges.lin_vel_x[1]``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# Managers read these settings of a term at each use. They read all other settings once.
+# The settings of a term that its manager reads at each use; a manager reads all other settings only once.
 _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -24,27 +24,29 @@ def parse(address: str) -> tuple[Part, ...]:
     for text in address.split("."):
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
         if found is None:
-            raise ConfigError(f"'{address}' is not an address", key=_KEY, expected="names and indices, as in a.b[2].c")
+            raise ConfigError(
+                f"'{address}' is not the address of a setting", key=_KEY, expected="names and indices, as in a.b[2].c"
+            )
         parts += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
     return tuple(parts)
 
 
 def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
-    """Return the value at an address below ``root``."""
+    """Return the value at an address, which is relative to ``root``."""
     for part in parts:
         root = _below(root, part)
     return root
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address leads into a bound term, which saves its own changes."""
+    """Return whether an address points into a manager term; terms save changes of their own settings."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
-    """Set the value at an address.
+    """Set the value at an address below ``root``.
 
-    A tuple that contains the value is replaced, and term objects update their arguments.
+    A tuple that contains the value is replaced by a new tuple, and term objects update their constructor arguments.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -67,7 +69,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
 
 
 def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
-    """Raise ConfigError if an address does not exist, or if a new value at the address would not be read."""
+    """Raise ConfigError if an address does not exist, or if a new value at the address would have no effect."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):
@@ -76,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # levels that exist only in Isaac Lab
+        if part in ("func", "params"):  # levels of an address that exist only in Isaac Lab
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -85,7 +87,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # Isaac Lab's addresses contain ``cfg`` below a manager.
+        return holder  # Ignore the level ``cfg`` in addresses of Isaac Lab.
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):

@@ -1,4 +1,4 @@
-"""Curriculum terms: settings that change while a policy learns. Each curriculum term returns the values to log."""
+"""Curriculum terms: settings that change while a policy learns. Each curriculum term returns values for the log."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from wheelleg_exp.terms.term_binding import resolve_target
 
 
 def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
-    """Set a reward's weight once ``common_step_counter > num_steps`` (control steps); return the current weight."""
-    del env_ids  # the step counter and the weight are common to all environments
+    """Set a reward's weight after ``num_steps`` control steps (``common_step_counter``); return the current weight."""
+    del env_ids  # all environments share the step counter and the weight
     term = env.reward_manager.get_term_cfg(term_name)
     if env.common_step_counter > num_steps:
         term.fields["weight"] = weight
@@ -36,13 +36,13 @@ class modify_env_param(TermBase):
     """Call a function that changes the value at an address below the environment; log the value if it is a number.
 
     The address is dotted, with ``[i]`` for list elements: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``.
-    The changed value is saved and restored with the environment.
+    A checkpoint saves and restores the changed value with the environment.
 
     Args:
         address: address of the value.
         modify_fn: dotted name of the function, or a node that builds the function, such as one of
             ``wheelleg_exp.mdp.schedules``. The function receives the environment, the ids of the environments that
-            reset, the current value, and ``modify_params``. It returns the new value, or
+            reset now, the current value, and ``modify_params``. The function returns the new value, or
             ``modify_env_param.NO_CHANGE``.
         modify_params: further arguments of the function, by name.
     """
@@ -75,14 +75,14 @@ class modify_env_param(TermBase):
         self._has_written, self._value = False, None
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
-        """Return the parts of an address below the environment."""
+        """Split the address of a setting of the environment into its names and indices."""
         return parse(address)
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> float | None:
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy the value: a list shared with modify_params could not be restored.
+            # Copy the value, because a checkpoint cannot restore a list that is shared with modify_params.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -100,10 +100,11 @@ class modify_env_param(TermBase):
 
 
 class modify_term_cfg(modify_env_param):
-    """Call a function that changes a setting of a term; see ``modify_env_param``.
+    """Call a function that changes a setting of a manager term; see ``modify_env_param``.
 
     The address starts with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
-    ``observations.policy.base_ang_vel.noise.n_max``. The address may contain Isaac Lab's level ``params``.
+    ``observations.policy.base_ang_vel.noise.n_max``. The address of the setting may contain Isaac Lab's level
+    ``params``.
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
@@ -125,7 +126,7 @@ def terrain_levels_vel(
 
     A robot moves to a harder tile if its distance from the tile's centre exceeds half the tile's length along x. A
     robot moves to an easier tile if it covered less than half of the distance that its last command demands in a
-    full-length episode. Ground without tiles has no levels.
+    full-length episode. The term has no effect on ground without tiles.
     """
     terrain = env.scene.terrain
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
@@ -138,7 +139,7 @@ def terrain_levels_vel(
 
 
 def _ranges(env: Env, command_name: str) -> dict[str, Any]:
-    """Return the ranges [low, high] of a command by axis; empty if the command has no ranges."""
+    """Return the ranges [low, high] of a command by axis; the result is empty if the command has no ranges."""
     ranges: dict[str, Any] = getattr(env.command_manager.get_term(command_name), "ranges", {})
     return ranges
 
@@ -147,7 +148,7 @@ _Limits = dict[str, tuple[float, float]]
 
 
 def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits) -> Iterator[ConfigError]:
-    """Yield an error for each limited axis whose range in the command is missing or exceeds the limit."""
+    """Yield an error for each axis in the limits whose range in the command is missing or exceeds the limit."""
     for axis, (lowest, highest) in limits.items():
         key, pair = f"limit_ranges.{axis}", ranges.get(axis)
         if pair is None:
@@ -160,13 +161,13 @@ def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits)
 
 
 class command_range_levels(TermBase):
-    """Widen the ranges of a command whenever the robots track the command well; return the upper bounds.
+    """Widen the ranges of a command whenever the robots track the command well; return the ranges' upper bounds.
 
-    The sums of a tracking reward over finished episodes are divided by the sum that perfect tracking gives in a
-    full-length episode, so that early falls lower the ratio. The mean ratio is evaluated at most once per full episode
-    length. If the mean ratio is above ``threshold``, every range grows by ``step`` on both sides, up to
-    ``limit_ranges``. Isaac Lab's library does not have this term; some projects name it ``lin_vel_cmd_levels`` or
-    ``ang_vel_cmd_levels``.
+    A ratio measures tracking: the sum of a tracking reward over an episode, divided by the sum that perfect tracking
+    gives in a full-length episode. Therefore early falls lower the ratio. The mean tracking ratio is evaluated at most
+    once per full episode length. If the mean tracking ratio is above ``threshold``, every range grows by ``step`` on
+    both sides, up to ``limit_ranges``. Isaac Lab's library does not have this curriculum; some projects have it as
+    ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
@@ -214,19 +215,19 @@ lin_vel_cmd_levels = command_range_levels
 ang_vel_cmd_levels = command_range_levels
 
 
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # components of a velocity command, in order
+_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # the components of a velocity command, in their order
 
 
 class command_levels_by_skill(TermBase):
-    """Widen the ranges of a velocity command on the axes that robots track well; return upper bounds and skills.
+    """Widen the ranges of a velocity command on the axes that the robots track well; return upper bounds and skills.
 
-    Each axis is evaluated separately over at least ``min_episodes`` finished episodes, using only steps with a command
-    on that axis. The skill is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e,
-    and still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. The skill S is 0
-    for a robot that stands still and 1 for perfect tracking, for any ranges and std. A failed episode counts as a
-    full-length episode with a score of 0 after the failure. After ``passes`` evaluations in a row with S >=
-    ``threshold`` the range grows by ``step`` on both sides, and later evaluations ignore episodes that started before
-    this growth. If a range has not reached its limit and has not grown in ``patience`` evaluations, the log value
+    Each axis is evaluated separately over at least ``min_episodes`` finished episodes. Only steps with a command on the
+    axis count. The skill is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e, and
+    still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. For any ranges and std,
+    the tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A failed episode counts as a
+    full-length episode, with a tracking score of 0 in all steps after the failure. After ``passes`` evaluations in a
+    row with S >= ``threshold``, the range grows by ``step`` on both sides. Later evaluations ignore episodes that
+    started before this growth. If a range below its limit has not grown in ``patience`` evaluations, the log value
     ``<axis>_stuck`` is 1, and training warns.
 
     Args:
@@ -271,9 +272,9 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        self._sums = torch.zeros(shape, device=env.device)  # score, still, and steps of the running episodes
-        self._total = torch.zeros(shape[:2], device=env.device)  # sums over the finished episodes
-        # Only episodes that started after the last growth of a range count.
+        self._sums = torch.zeros(shape, device=env.device)  # sums over an episode: score, score at rest, steps
+        self._total = torch.zeros(shape[:2], device=env.device)  # the sums over all finished episodes
+        # A mask of the environments whose episode started after the last growth of a range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
@@ -282,7 +283,7 @@ class command_levels_by_skill(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add this step to the sums of the present episodes."""
+        """Add the values of this control step to the sums over the present episodes."""
         data = self._env.scene[self._asset].data
         command = self._env.command_manager.get_command(self._command)
         velocity = torch.cat((data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2:]), dim=1)
@@ -299,7 +300,7 @@ class command_levels_by_skill(TermBase):
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # the score is 0 in the missing steps of a failed episode
+        sums[1:] *= rest  # the score is 0 in the steps that a failed episode lacks
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
@@ -316,7 +317,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # no environment had a command on the axis
+            if steps - still <= 0.0:  # no step had a command on this axis
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -334,15 +335,16 @@ class command_levels_by_skill(TermBase):
 
 
 class terrain_levels_by_distance(TermBase):
-    """Move robots to harder or easier terrain tiles by the distance covered along their commands; return the levels.
+    """Move robots to harder or easier terrain tiles by the distance covered along their commands; return tile levels.
 
-    The covered distance of an episode is the integral of the velocity (level axes that turn with the robot) projected
-    on the command's direction. The covered distance is divided by the commanded distance. If an episode fails, the
-    commanded distance is extrapolated to a full-length episode. A robot moves to a harder tile if the ratio is at least
-    ``up``, and to an easier tile if the ratio is at most ``down``. A robot with a commanded distance below
-    ``min_distance`` does not move, except to an easier tile after a failed episode. A robot that passes the hardest row
-    moves to a random row. Ground without tiles has no levels. The log value ``stuck`` is 1, and training warns, if the
-    mean level is in the lower half and has not increased for ``patience`` full-length episodes.
+    The covered distance of an episode is the time integral of the velocity component along the command's direction, in
+    level axes that turn with the robot. The covered distance is divided by the commanded distance. If an episode fails,
+    its commanded distance is extrapolated to a full-length episode. A robot moves to a harder tile if this distance
+    ratio is at least ``up``, and to an easier tile if the distance ratio is at most ``down``. A robot with a commanded
+    distance below ``min_distance`` does not move, except to an easier tile after a failed episode. A robot that passes
+    the hardest row of tiles moves to a random row. The term has no effect on ground without tiles. If the mean tile
+    level is in the lower half and has not increased for ``patience`` full-length episodes, the log value ``stuck`` is
+    1, and training warns.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.
@@ -373,7 +375,7 @@ class terrain_levels_by_distance(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add this step to the sums of the present episodes."""
+        """Add the values of this control step to the sums over the present episodes."""
         command = self._env.command_manager.get_command(self._command)[:, :2]
         speed = torch.linalg.vector_norm(command, dim=1)
         forwards, sideways = level_velocity(self._env.scene[self._asset].data)

@@ -13,10 +13,10 @@ from wheelleg_exp.state import Stateful
 
 
 class Modifier(Stateful):
-    """A function of an observation. Its attributes can store past values, and are saved in checkpoints."""
+    """A function of an observation. Attributes can store past values, and are saved in checkpoints."""
 
     def start(self, sample: torch.Tensor) -> None:
-        """Allocate tensors for past values, in the shape of the sample."""
+        """Allocate tensors for past values of the observation, in the shape of the sample."""
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         raise NotImplementedError
@@ -55,7 +55,7 @@ class Clip(Modifier):
         return value.clip(*self._bounds)
 
 
-# The second names of Scale, Bias, and Clip are Isaac Lab's.
+# Second names of the classes, which are the names in Isaac Lab.
 scale, bias, clip = Scale, Bias, Clip
 
 
@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # a tuple, because tensor attributes are saved as state
+        self._coefficients = (feedback, forward)  # a tuple, because tensor attributes would be saved as state
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 
@@ -93,7 +93,7 @@ class DigitalFilter(Modifier):
 
 
 class Integrator(Modifier):
-    """Integrate an observation by the trapezoidal rule: I += (x + x_previous) / 2 * dt.
+    """Integrate an observation by the trapezoidal rule. In each control step, I += (x + x_previous) / 2 * dt.
 
     Args:
         dt: time between two observations, s.

@@ -21,7 +21,7 @@ def _apply(value: torch.Tensor, drawn: torch.Tensor | float, operation: Operatio
 
 @dataclass
 class ConstantNoise:
-    """Noise that is a constant ``bias``."""
+    """Constant observation noise: every value is shifted by ``bias``."""
 
     bias: float = 0.0
     operation: Operation = "add"
@@ -39,7 +39,7 @@ def _ordered(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(_ordered)
 @dataclass
 class UniformNoise:
-    """Uniform noise U(n_min, n_max) per component."""
+    """Uniform observation noise U(n_min, n_max), drawn separately for each component."""
 
     n_min: float = -1.0
     n_max: float = 1.0
@@ -52,7 +52,7 @@ class UniformNoise:
 
 @dataclass
 class GaussianNoise:
-    """Gaussian noise N(mean, std^2) per component."""
+    """Gaussian observation noise N(mean, std^2), drawn separately for each component."""
 
     mean: float = 0.0
     std: NonNegative = 1.0
@@ -75,7 +75,7 @@ def _bias_does_not_add_up(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_bias_does_not_add_up)
 class NoiseModelWithAdditiveBias:
-    """Noise plus a bias that is drawn at each reset.
+    """Observation noise plus a bias that is drawn at each reset.
 
     Args:
         noise_cfg: the noise of every step.

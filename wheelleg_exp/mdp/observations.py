@@ -20,7 +20,7 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 def base_pos_z(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Height of the root link in the world, m; the environment's origin is not subtracted."""
+    """Height of the root link in the world frame, m; the height of the environment's origin is not subtracted."""
     return env.scene[asset_cfg.name].data.root_pos_w[:, 2:3]
 
 
@@ -60,7 +60,7 @@ def root_pos_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def root_quat_w(env: Env, make_quat_unique: bool = False, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Orientation of the root link (w, x, y, z); with ``make_quat_unique`` w is not negative."""
+    """Orientation of the root link (w, x, y, z); with ``make_quat_unique``, the component w is not negative."""
     quat = env.scene[asset_cfg.name].data.root_quat_w
     return torch.where(quat[:, 0:1] < 0, -quat, quat) if make_quat_unique else quat
 
@@ -82,9 +82,9 @@ def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = Tru
 
 
 def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
-    """Joint positions (as ``joint_pos``) minus their defaults, rad.
+    """Joint positions (as in ``joint_pos``) minus the default joint positions, rad.
 
-    The angle of a rolling wheel grows without bound.
+    The joint angle of a rolling wheel grows without bound.
     """
     data = env.scene[asset_cfg.name].data
     return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
@@ -112,7 +112,7 @@ class joint_pos_limit_normalized(TermBase):
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sines of all joint positions, followed by the cosines. Both are bounded also for wheels."""
+    """Sines of all joint positions, followed by all cosines. Sines and cosines are bounded also for wheels."""
     angle = joint_pos(env, asset_cfg)
     return torch.cat((torch.sin(angle), torch.cos(angle)), dim=1)
 
@@ -123,7 +123,7 @@ def joint_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def joint_vel_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Joint velocities minus their defaults, rad/s."""
+    """Joint velocities minus the default joint velocities, rad/s."""
     data = env.scene[asset_cfg.name].data
     return picked(data.joint_vel, asset_cfg.joint_ids) - picked(data.default_joint_vel, asset_cfg.joint_ids)
 
@@ -134,7 +134,7 @@ def joint_acc(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def joint_effort_commanded(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Clipped drive torque at the start of the last physics step, N·m; 0 right after a reset."""
+    """Clipped torque of each joint's drive at the start of the last physics step, N·m; 0 right after a reset."""
     return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids)
 
 
@@ -149,7 +149,7 @@ def body_pose_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def body_projected_gravity_b(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Unit gravity direction in the axes of each link, body by body, (N, 3 B)."""
+    """Unit gravity direction in the axes of each of B links, (N, 3 B)."""
     data = env.scene[asset_cfg.name].data
     gravity = rotation.rotate(data.root_rot_w, data.projected_gravity_b)
     turned = torch.matmul(gravity.view(-1, 1, 1, 3), picked(data.body_rot_w, asset_cfg.body_ids))
@@ -161,9 +161,9 @@ _CAMERA = SceneEntityCfg("tiled_camera")
 
 
 def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> torch.Tensor:
-    """Height of a ray caster above the hit point of each ray, minus ``offset``, m, (N, rays).
+    """Height of a ray caster above the hit points of its rays, minus ``offset``, m, (N, rays).
 
-    The value is minus infinity for a ray that hits nothing, so the observation needs a ``clip``.
+    A ray that hits nothing gives minus infinity, so the observation needs a ``clip``.
     """
     data = env.scene[sensor_cfg.name].data
     return data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
@@ -196,12 +196,12 @@ def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative =
 
 
 def body_contact_forces(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Net normal contact forces, N, world axes, body by body, (N, 3 B). Isaac Lab does not have this term."""
+    """Net normal contact force on each of B bodies, N, world axes, (N, 3 B). Isaac Lab does not have this term."""
     return picked(env.scene[sensor_cfg.name].data.net_forces_w, sensor_cfg.body_ids).flatten(1)
 
 
 def body_air_time(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Time since each body lost contact, s; 0 in contact. Isaac Lab does not have this term."""
+    """Time since each body lost contact, s; 0 for a body that is in contact. Isaac Lab does not have this term."""
     return picked(env.scene[sensor_cfg.name].data.current_air_time, sensor_cfg.body_ids)
 
 
@@ -249,14 +249,14 @@ def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
 
 
 def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
-    """Last raw action of all action terms, or of one action term; 0 after a reset."""
+    """Last raw action of all action terms, or of one selected action term; 0 right after a reset."""
     if action_name is None:
         return env.action_manager.action
     return env.action_manager.get_term(action_name).raw_actions
 
 
 def generated_commands(env: Env, command_name: str) -> torch.Tensor:
-    """The current command of a command term."""
+    """The current command that a command term has drawn."""
     return env.command_manager.get_command(command_name)
 
 
@@ -282,7 +282,7 @@ def remaining_time_s(env: Env) -> torch.Tensor:
 
 
 def gait_phase(env: Env, period: Positive, offsets: Annotated[Sequence[float], NotEmpty()] = (0.0,)) -> torch.Tensor:
-    """Sines, then cosines, of a gait's clock 2 pi (t / period + offset) at k offsets, (N, 2 k). Not in Isaac Lab.
+    """Sines, then cosines, of a gait's phase 2 pi (t / period + offset) at k phase offsets, (N, 2 k). Not in Isaac Lab.
 
     Args:
         period: duration of one cycle, s; t is the time since the start of the episode.

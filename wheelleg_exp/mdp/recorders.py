@@ -11,17 +11,18 @@ from wheelleg_exp.managers.recorder_manager import Recorded
 
 
 class InitialStateRecorder(RecorderTerm):
-    """Record the state at the start of an episode (``initial_state``) as one row; see ``PostStepStatesRecorder``."""
+    """Record the state at the start of each episode as one row with the key ``initial_state``."""
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:
         return "initial_state", _rows(self._env.scene.get_state(is_relative=True), env_ids)
 
 
 class PostStepStatesRecorder(RecorderTerm):
-    """Record the state at the end of each control step (``states``), before resets.
+    """Record the state at the end of each control step, before resets, with the key ``states``.
 
-    Below ``articulation/<name>``: ``root_pose`` (m, relative to the environment's origin; (w, x, y, z)),
-    ``root_velocity`` (centre of mass, world axes, m/s and rad/s), ``joint_position`` (rad), ``joint_velocity`` (rad/s).
+    Below the key ``articulation/<name>``, a state has ``root_pose`` (m, relative to the environment's origin, and (w,
+    x, y, z)), ``root_velocity`` (centre of mass, world axes, m/s and rad/s), ``joint_position`` (rad), and
+    ``joint_velocity`` (rad/s).
     """
 
     reads_observations = False
@@ -31,14 +32,14 @@ class PostStepStatesRecorder(RecorderTerm):
 
 
 class PreStepActionsRecorder(RecorderTerm):
-    """Record the raw action of each control step (``actions``)."""
+    """Record the raw action of each control step with the key ``actions``."""
 
     def record_pre_step(self) -> Recorded:
         return "actions", self._env.action_manager.action
 
 
 class PostStepProcessedActionsRecorder(RecorderTerm):
-    """Record the processed actions of all action terms in each control step (``processed_actions``)."""
+    """Record the processed actions of all action terms in each control step with the key ``processed_actions``."""
 
     reads_observations = False
 
@@ -49,7 +50,7 @@ class PostStepProcessedActionsRecorder(RecorderTerm):
 
 
 class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
-    """Record the observation that the policy received before each action (``obs``), including noise.
+    """Record the observation that the policy received before each action, including noise, with the key ``obs``.
 
     Args:
         group: the observation group.

@@ -1,6 +1,6 @@
-"""Reward terms, (N,), before weight and time step.
+"""Reward terms, which return one value per environment, (N,), before the product with weight and time step.
 
-The formulas are those of Isaac Lab, unless the docstring of the reward names a difference.
+The reward formulas are those of Isaac Lab, unless the docstring of a reward names a difference.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def is_terminated(env: Env) -> torch.Tensor:
 
 
 class is_terminated_term(TermBase):
-    """Number of the listed terminations that fired in this step; 0 on a time-out.
+    """Number of the listed termination terms that fired in this step; 0 if the episode ended by a time-out.
 
     Args:
         term_keys: expressions of termination names; all by default.
@@ -64,8 +64,8 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    Unlike the gradient of a squared error, the gradient of this term does not vanish at small tilts. A fallen robot
-    loses at most the weight. An upside-down robot counts as upright.
+    Unlike the gradient of a squared error, the gradient of this reward term does not vanish at small tilt angles. The
+    penalty of a fallen robot is at most the weight. An upside-down robot gets the value of an upright robot.
 
     Args:
         std: sine of the tilt at which 1/e of the reward remains.
@@ -88,8 +88,8 @@ def base_height_l2(
 ) -> torch.Tensor:
     """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
 
-    With a ray caster the target height is relative to the mean height of the ray hits. One ray without a hit makes the
-    value infinite, as in Isaac Lab. ``base_height_over_ground_l2`` needs no sensor.
+    With a ray caster, the target height is relative to the mean height of the ray hits. As in Isaac Lab, the value is
+    infinite if one ray has no hit. ``base_height_over_ground_l2`` needs no sensor.
     """
     height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
     if sensor_cfg is not None:
@@ -106,7 +106,7 @@ def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneE
 def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
 
-    Unlike the gradient of a squared error, the gradient of this term does not vanish at errors of millimetres.
+    Unlike the gradient of a squared error, the gradient of this reward does not vanish at height errors of millimetres.
 
     Args:
         target_height: m.
@@ -119,7 +119,7 @@ def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: Sc
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the norms of the bodies' linear accelerations, m/s^2.
 
-    Isaac Lab's name is ``body_lin_acc_l2``, although the norms are not squared.
+    The name in Isaac Lab is ``body_lin_acc_l2``, although the norms are not squared.
     """
     acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
@@ -149,7 +149,8 @@ def track_lin_vel_xy_yaw_frame_exp(
 ) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
 
-    Unlike ``track_lin_vel_xy_exp``, this term does not count the vertical velocity of a leaning robot as forward speed.
+    Unlike ``track_lin_vel_xy_exp``, this reward does not count the vertical velocity of a leaning robot as forward
+    speed.
     """
     command = env.command_manager.get_command(command_name)
     forwards, sideways = level_velocity(env.scene[asset_cfg.name].data)
@@ -171,7 +172,7 @@ def track_base_height_exp(
 ) -> torch.Tensor:
     """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
 
-    The command's first component is the height, as in ``UniformBasePoseCommand``.
+    The first component of the command must be the height, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
@@ -181,7 +182,7 @@ def track_base_height_exp(
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
 
-    The command's components are height, roll and pitch, as in ``UniformBasePoseCommand``.
+    The components of the command must be height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
     roll, pitch = roll_pitch(env.scene[asset_cfg.name].data)
@@ -208,7 +209,7 @@ def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
     """Sum of |torque * velocity| over joints, W. Not in Isaac Lab.
 
-    With ``positive_only`` the sum includes only positive joint power, not the power of braking joints.
+    With ``positive_only``, the sum includes only positive joint power, not the negative power of braking joints.
     """
     data = env.scene[asset_cfg.name].data
     power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
@@ -233,7 +234,8 @@ def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 class joint_vel_rate_l2(TermBase):
     """Sum of squared changes of joint velocity over a control step, (rad/s)^2; 0 in an episode's first step.
 
-    Not in Isaac Lab. The term penalises jerky wheels. In contrast, ``joint_acc_l2`` uses only the last physics step.
+    Not in Isaac Lab. The term penalises jerky wheels. In contrast, ``joint_acc_l2`` uses only the velocity change over
+    the last physics step.
     """
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
@@ -257,7 +259,7 @@ class joint_vel_rate_l2(TermBase):
 
 
 def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the distances of the joint positions from their defaults, rad."""
+    """Sum of the absolute differences between joint positions and default positions, rad."""
     data = env.scene[asset_cfg.name].data
     ids = asset_cfg.joint_ids
     return (picked(data.joint_pos, ids) - picked(data.default_joint_pos, ids)).abs().sum(dim=1)
@@ -266,7 +268,7 @@ def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Te
 def stand_still_joint_deviation_l1(
     env: Env, command_name: str, command_threshold: NonNegative = 0.06, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-    """``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), otherwise 0."""
+    """Value of ``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), else 0."""
     speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1)
     return joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
 
@@ -276,9 +278,9 @@ def joint_symmetry_l1(
 ) -> torch.Tensor:
     """Sum of |q_left - q_right| over pairs of joints, rad. Not in Isaac Lab.
 
-    Joint i of the left entity is paired with joint i of the right entity. Both entities need the same
-    ``preserve_order``. ``mirrored`` joints have opposite signs on the two sides, so that a symmetric pose has |q_left +
-    q_right| = 0.
+    Joint i of the left entity (a list of joints) is paired with joint i of the right entity. The left and the right
+    entity need the same ``preserve_order``. ``mirrored`` joints have opposite signs on the two sides, so that a
+    symmetric pose has |q_left + q_right| = 0.
     """
     left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
     right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
@@ -289,7 +291,7 @@ def joint_symmetry_l1(
 
 
 def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the distances by which joint positions exceed their soft limits, rad."""
+    """Sum of the amounts by which joint positions exceed the joints' soft limits, rad."""
     data = env.scene[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
@@ -297,7 +299,7 @@ def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 
 
 def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of clip(|qd| - limit * ratio, 0, 1), rad/s."""
+    """Sum over joints of the excess velocity clip(|qd| - limit * ratio, 0, 1), rad/s."""
     data = env.scene[asset_cfg.name].data
     limit = picked(data.soft_joint_vel_limits, asset_cfg.joint_ids) * soft_ratio
     return (picked(data.joint_vel, asset_cfg.joint_ids).abs() - limit).clamp(0.0, 1.0).sum(dim=1)
@@ -311,7 +313,7 @@ def applied_torque_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch
 
 
 def action_rate_l2(env: Env) -> torch.Tensor:
-    """Sum of squared changes of the raw action."""
+    """Sum of squared changes of the raw action between two control steps."""
     return (env.action_manager.action - env.action_manager.prev_action).square().sum(dim=1)
 
 
@@ -323,7 +325,7 @@ def action_l2(env: Env) -> torch.Tensor:
 class action_acceleration_l2(TermBase):
     """Sum of squared second differences of the raw action, (a - 2 a_1 + a_2)^2. Not in Isaac Lab.
 
-    Actions before the first one of an episode count as 0, as in ``action_rate_l2``.
+    Actions from before the start of an episode count as 0, as in ``action_rate_l2``.
     """
 
     def __init__(self, env: Env) -> None:
@@ -348,7 +350,7 @@ def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntity
 def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force was never above ``threshold`` (N) in the contact sensor's history.
 
-    Not in Isaac Lab. For wheels, this is the number of wheels in the air.
+    Not in Isaac Lab. If the bodies are wheels, the value is the number of wheels in the air.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
@@ -357,7 +359,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
 
-    Isaac Lab's name is ``desired_contacts``, which means the opposite.
+    The name in Isaac Lab is ``desired_contacts``, although the term counts missing contacts.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()
@@ -373,13 +375,13 @@ def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg)
 
 
 def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
-    """Raise ConfigError at ``key`` unless sensor and robot values (N, k, ...) have the same number of bodies, k."""
+    """Raise ConfigError with ``key`` unless sensor and robot values (N, k, ...) have the same number of bodies, k."""
     if first.shape[1] != second.shape[1]:
         message = f"there are {first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot"
         raise ConfigError(message, key=key, expected="the same number, in the order of sensor_cfg.body_names")
 
 
-_WALKING = 0.1  # m/s; a commanded speed below this value means standing
+_WALKING = 0.1  # m/s; a commanded speed below this value means that the robot stands
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
@@ -387,9 +389,9 @@ def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
-    """Sum of (air time - ``threshold``), s, over all feet that have just landed.
+    """Sum of (air time - ``threshold``), s, over all feet that touched down in this control step.
 
-    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air and contact times.
     """
     sensor = env.scene.contact_sensor(sensor_cfg.name)
     landed = picked(sensor.compute_first_contact(env.step_dt), sensor_cfg.body_ids)
@@ -400,9 +402,9 @@ def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, thres
 def feet_air_time_positive_biped(
     env: Env, command_name: str, threshold: NonNegative, sensor_cfg: SceneEntityCfg
 ) -> torch.Tensor:
-    """Time since the last touchdown or lift-off of any foot, s, while one foot is in contact; at most ``threshold``.
+    """While one foot is in contact: the time since the last touchdown or lift-off, s, at most ``threshold``.
 
-    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air times.
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air and contact times.
     """
     data = env.scene.contact_sensor(sensor_cfg.name).data
     contact = picked(data.current_contact_time, sensor_cfg.body_ids)
@@ -431,7 +433,7 @@ def feet_slide(
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
     """1 where the horizontal contact force on some foot or wheel exceeds ``ratio`` times the vertical force, else 0.
 
-    Not in Isaac Lab. The term penalises collisions with steep obstacles.
+    Not in Isaac Lab. The reward term penalises collisions of feet with steep obstacles.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
@@ -450,10 +452,10 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 
 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
-    """Variance over feet of the last air times plus variance of the last contact times, s^2.
+    """Variance of the feet's last air times plus variance of the feet's last contact times, s^2.
 
-    Each time is at most ``max_time`` (s). Not in Isaac Lab's library. The term penalises an uneven gait. The contact
-    sensor must track air times.
+    Air and contact times are clipped to ``max_time`` (s). Not in Isaac Lab's library. The reward term penalises an
+    uneven gait. The contact sensor must track air and contact times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
     flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
@@ -463,10 +465,10 @@ def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive =
 def wheel_slip(
     env: Env, radius: Positive, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum of the slip speeds at the contact points of the wheels on the ground, m/s; 0 for rolling. Not in Isaac Lab.
+    """Sum of the slip speeds at the wheels' contact points, m/s; 0 for wheels that roll without slip. Not in Isaac Lab.
 
     The contact point moves at v + w x (-r n): n is the normal of the wheel's contact force, v the velocity of the
-    wheel's centre of mass, w its angular velocity. The component of this velocity along the ground is the slip.
+    wheel's centre of mass, w its angular velocity. The slip is the component of this velocity along the ground.
 
     Args:
         radius: r of the wheels, m.
@@ -488,7 +490,7 @@ def wheel_slip(
 def wheel_spin_in_air_l1(
     env: Env, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum of the speeds of the wheels in the air, rad/s. Not in Isaac Lab.
+    """Sum of the angular speeds of all wheels that are in the air, rad/s. Not in Isaac Lab.
 
     Args:
         sensor_cfg: the wheels of a contact sensor.

@@ -10,13 +10,13 @@ from wheelleg_exp.managers import Env
 
 
 def height_over_ground(env: Env, positions: torch.Tensor) -> torch.Tensor:
-    """Return the vertical distance of world positions (N, ..., 3) to the ground, m, (N, ...)."""
+    """Return the height of world positions (N, ..., 3) above the ground, m, (N, ...)."""
     height: torch.Tensor = positions[..., 2] - env.scene.terrain.height_at(positions[..., :2])
     return height
 
 
 def roll_pitch(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return roll and pitch of the root link, rad, (N,) each, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return roll and pitch of the root link, rad, (N,) each, where its rotation is R = Rz(yaw) Ry(pitch) Rx(roll)."""
     x, y, z = data.projected_gravity_b.unbind(dim=1)
     return torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
 

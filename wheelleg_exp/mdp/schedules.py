@@ -1,7 +1,8 @@
 """Functions for ``modify_fn`` of ``modify_env_param`` and ``modify_term_cfg``: how a value changes with time.
 
 A schedule depends on ``common_step_counter``, the number of control steps since the start of training. ``value``,
-``start`` and ``end`` are numbers, lists of numbers, or mappings to numbers, like the value that the schedule changes.
+``start`` and ``end`` are numbers, lists of numbers, or mappings to numbers, in the form of the setting that the
+schedule changes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from wheelleg_exp.mdp.curriculums import modify_env_param
 
 
 def override_value(env: Env, env_ids: torch.Tensor, old_value: Any, value: Any, num_steps: Natural) -> Any:
-    """Return ``value`` once ``common_step_counter > num_steps``."""
+    """Return ``value`` after ``num_steps`` control steps of training, otherwise leave the setting unchanged."""
     del env_ids, old_value
     return value if env.common_step_counter > num_steps else modify_env_param.NO_CHANGE
 
@@ -25,7 +26,7 @@ def override_value(env: Env, env_ids: torch.Tensor, old_value: Any, value: Any, 
 def linear(
     env: Env, env_ids: torch.Tensor, old_value: Any, start: Any, end: Any, num_steps: Natural, first_step: Natural = 0
 ) -> Any:
-    """Interpolate from ``start`` at the control step ``first_step`` to ``end``, ``num_steps`` control steps later."""
+    """Interpolate a setting from ``start`` at the control step ``first_step`` to ``end``, ``num_steps`` steps later."""
     del env_ids, old_value
     past = env.common_step_counter - first_step
     return _between(start, end, min(max(past / num_steps, 0.0), 1.0) if num_steps else float(past > 0))

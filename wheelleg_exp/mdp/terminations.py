@@ -18,43 +18,43 @@ _ROUNDING = 1e-3  # tolerance as a share of the effort limit, because the engine
 
 
 def time_out(env: Env) -> torch.Tensor:
-    """The episode has reached its longest length."""
+    """End the episode if the episode has reached its longest length."""
     return env.episode_length_buf >= env.max_episode_length
 
 
 def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> torch.Tensor:
-    """The command is about to be resampled after ``num_resamples`` draws."""
+    """End the episode if the command is about to be resampled after ``num_resamples`` draws."""
     command = env.command_manager.get_term(command_name)
     return (command.time_left <= env.step_dt) & (command.command_counter == num_resamples)
 
 
 def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """The root is tilted by more than ``limit_angle`` (rad) from upright.
+    """End the episode if the root is tilted by more than ``limit_angle`` (rad) from upright.
 
-    Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always terminates.
+    Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always ends its episode.
     """
     upright = -env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]
     return torch.acos(upright.clamp(-1.0, 1.0)) > limit_angle
 
 
 def root_height_below_minimum(env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """The root link is below ``minimum_height`` (m) in the world. Use this term on flat ground."""
+    """End the episode if the root link is below ``minimum_height`` (m) in the world. Use the term on flat ground."""
     return env.scene[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
 
 
 def root_height_over_ground_below_minimum(
     env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-    """The root link is less than ``minimum_height`` (m) above the ground. Not in Isaac Lab."""
+    """End the episode if the root link is less than ``minimum_height`` (m) above the ground. Not in Isaac Lab."""
     return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w) < minimum_height
 
 
 def terrain_out_of_bounds(
     env: Env, asset_cfg: SceneEntityCfg = _ROBOT, distance_buffer: NonNegative = 3.0
 ) -> torch.Tensor:
-    """The root link is less than ``distance_buffer`` (m) from the outer edge of the ground's tiles and border.
+    """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of the ground.
 
-    The term never fires on ground without tiles.
+    This termination never fires on ground without tiles.
     """
     terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
@@ -65,7 +65,7 @@ def terrain_out_of_bounds(
 
 
 def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """The root link is more than ``margin`` (m) outside its tile, where the ground has a different terrain level.
+    """End the episode if the root link is more than ``margin`` (m) outside the environment's terrain tile.
 
     Never on ground without tiles. Not in Isaac Lab.
     """
@@ -75,9 +75,9 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 
 
 class stuck(TermBase):
-    """The robot is commanded to drive, but has moved less than ``distance`` (m) in ``time`` (s). Not in Isaac Lab.
+    """End the episode if a robot must drive but moved less than ``distance`` (m) in ``time`` (s). Not in Isaac Lab.
 
-    Position and time are reset while the commanded planar velocity is not above ``command_threshold``.
+    While the commanded planar speed is at most ``command_threshold``, the reference position and the timer are reset.
 
     Args:
         distance: distance in the plane, m.
@@ -98,7 +98,7 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        # The number of control steps in one place; -1 at the start of an episode.
+        # The number of control steps since the robot last moved on; -1 at the start of an episode.
         self._stayed = torch.full((env.num_envs,), -1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:
@@ -115,7 +115,7 @@ class stuck(TermBase):
 
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """At least one joint is outside its soft limits."""
+    """End the episode if at least one joint is outside its soft limits."""
     data = env.scene[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
@@ -123,25 +123,25 @@ def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
 
 
 def joint_pos_out_of_manual_limit(env: Env, bounds: Bounds, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """At least one joint position is outside ``bounds``, rad."""
+    """End the episode if at least one joint position is outside ``bounds``, rad."""
     q = picked(env.scene[asset_cfg.name].data.joint_pos, asset_cfg.joint_ids)
     return ((q < bounds[0]) | (q > bounds[1])).any(dim=1)
 
 
 def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """At least one joint is faster than its actuator's velocity limit."""
+    """End the episode if at least one joint is faster than its actuator's velocity limit."""
     data = env.scene[asset_cfg.name].data
     speed = picked(data.joint_vel, asset_cfg.joint_ids).abs()
     return (speed > picked(data.soft_joint_vel_limits, asset_cfg.joint_ids)).any(dim=1)
 
 
 def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """At least one joint is faster than ``max_velocity``, rad/s."""
+    """End the episode if at least one joint is faster than ``max_velocity``, rad/s."""
     return (picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs() > max_velocity).any(dim=1)
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """At least one joint torque was clipped by an effort limit, a motor's torque-speed line, or a linkage's table."""
+    """End the episode if a joint torque was clipped by an effort limit, a torque-speed line, or a linkage's table."""
     data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
     computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
     limits = picked(data.joint_effort_limits, joints)
@@ -150,11 +150,11 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """The contact force of at least one listed body exceeded ``threshold`` (N) in the history of the contact sensor."""
+    """End the episode if a listed body's contact force exceeded ``threshold`` (N) in the contact sensor's history."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).any(dim=1)
 
 
 def non_finite_state(env: Env) -> torch.Tensor:
-    """The engine found NaN or huge values in this simulation and has reset the simulation."""
+    """End the episode if the engine found NaN or huge values in the simulation and has reset the simulation."""
     return env.scene.unstable()

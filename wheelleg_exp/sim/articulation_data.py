@@ -32,10 +32,10 @@ _UNSUPPORTED |= {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "de
 class ArticulationData(RobotData):
     """The robot's state and parameters: float32, N environments, joints and bodies in the robot's order.
 
-    The suffix ``_w`` means world axes, and ``_b`` means axes of the link. Velocities refer to centres of mass unless
-    the attribute name contains ``link``; poses refer to link frames unless the attribute name contains ``com``.
-    Quaternions are (w, x, y, z). A pose is a position, m, and a quaternion. A velocity is a linear velocity, m/s, and
-    an angular velocity, rad/s. A state is a pose and a velocity. CoM means centre of mass.
+    In attribute names, the suffix ``_w`` means world axes, and ``_b`` means axes of the link. Velocities refer to
+    centres of mass, unless the attribute name contains ``link``. Poses refer to link frames, unless the attribute name
+    contains ``com``. Quaternions are (w, x, y, z). A pose is a position, m, and a quaternion. A velocity is a linear
+    velocity, m/s, and an angular velocity, rad/s. A state is a pose and a velocity. CoM means centre of mass.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
@@ -71,7 +71,7 @@ class ArticulationData(RobotData):
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # None until a term reads body accelerations. After that, each physics step stores the velocities at its start.
+        # The bodies' velocities at the start of the last physics step; None until body accelerations are first read.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
@@ -81,7 +81,7 @@ class ArticulationData(RobotData):
     device = alias_of("_sim.device", "Device of the tensors.")
 
     def update(self, dt: float) -> None:
-        """Do nothing, because each read of a quantity uses the present state."""
+        """Do nothing, because each quantity is computed from the present state when it is read."""
         del dt
 
     @cached_until_change
@@ -116,17 +116,17 @@ class ArticulationData(RobotData):
 
     @property
     def joint_stiffness(self) -> torch.Tensor:
-        """Stiffness of the actuators inside MuJoCo's solver, N·m/rad, (N, J); 0 for explicit actuators."""
+        """Stiffness of the actuators that MuJoCo's solver computes, N·m/rad, (N, J); 0 for all other actuators."""
         return self._gains("stiffness", True)
 
     @property
     def joint_damping(self) -> torch.Tensor:
-        """Damping of the actuators inside MuJoCo's solver, N·m·s/rad, (N, J); 0 for explicit actuators."""
+        """Damping of the actuators that MuJoCo's solver computes, N·m·s/rad, (N, J); 0 for all other actuators."""
         return self._gains("damping", True)
 
     @property
     def joint_armature(self) -> torch.Tensor:
-        """Reflected rotor inertia, kg·m^2, (N, J)."""
+        """Reflected rotor inertia of each joint's drive, kg·m^2, (N, J)."""
         return self._of_joints("dof_armature")
 
     @property
@@ -201,13 +201,14 @@ class ArticulationData(RobotData):
     def body_com_acc_w(self) -> torch.Tensor:
         """Accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); a body at rest has 0.
 
-        The acceleration is the velocity difference over the last physics step. It is 0 after a reset or a written
-        velocity, until the next physics step.
+        The acceleration is the velocity difference over the last physics step. After a reset or a written velocity, the
+        acceleration is 0 until the next physics step.
         """
         if self._vel_before is None:
             # The bodies' velocities at the start of the last physics step.
-            # The stored state has only joint positions and velocities. Write it to the engine, compute the bodies'
-            # velocities, and restore the present state. Only the first read of an acceleration needs this computation.
+            # The stored earlier state has only joint positions and velocities. To get the bodies' velocities from it,
+            # write the earlier state to the engine, compute the bodies' velocities, and restore the present state.
+            # Only the first read of an acceleration needs the bodies' earlier velocities to be recomputed.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
             self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))

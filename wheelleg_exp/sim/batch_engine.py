@@ -1,4 +1,4 @@
-"""The engine ``mujoco``: MuJoCo's batch of simulations on the CPU, in float64."""
+"""The engine ``mujoco``: The engine that simulates on the CPU, in float64, with MuJoCo's batch of simulations."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ _UNSTABLE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("
 
 
 class BatchEngine(Engine):
-    """N simulations on the CPU; each step is bit-identical to ``mj_step``.
+    """N simulations on the CPU; each physics step is bit-identical to MuJoCo's ``mj_step``.
 
-    The number of physics threads, ``nthread``, changes no result; 0 means one for each core that the process may use.
+    The number of physics threads, ``nthread``, does not change the results. The value 0 means one thread for each CPU
+    core that the process may use.
     """
 
     name = "mujoco"
@@ -107,8 +108,8 @@ class BatchEngine(Engine):
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        # MuJoCo detects NaN and huge values at the start of the next step, silently resets the simulation to the
-        # model's defaults, and increments a warning counter. Therefore also check the values after the last step.
+        # MuJoCo detects NaN and huge values only at the start of the next step, and then resets the simulation.
+        # Each such reset increments a warning counter. Therefore also check the values after the last step here.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
@@ -133,16 +134,16 @@ class BatchEngine(Engine):
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return state rows, warnings, and model fields; ConfigError if a field was not expanded by ``expand``."""
+        """Return states, warnings, and model fields; raise ConfigError if terms expanded fields without ``expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
-                f"a term has expanded {' and '.join(hidden)} with the batch's own method, which no checkpoint saves",
+                f"a term expanded {' and '.join(hidden)} with MuJoCo's own batch method, which no checkpoint saves",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
         at_set_const = None
         if self._at_set_const is not None:
-            # The values at the last ``set_const`` of the model fields that were edited after the last ``set_const``.
+            # For each model field that was edited after the last call of ``set_const``: the values at that call.
             then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
             at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {

@@ -14,7 +14,7 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
-    """Make a property that is computed at most once between two changes of the robot's state."""
+    """Make a property that is computed on the first read after each change of the robot's state, and then cached."""
     name = compute.__name__
 
     def get(self: Any) -> torch.Tensor:
@@ -42,11 +42,11 @@ def alias_of(name: str, doc: str | None = None) -> property:
 
 
 class NotInMuJoCo(ConfigError, AttributeError):
-    """A member of Isaac Lab has no counterpart in MuJoCo; ``hasattr`` returns False for it."""
+    """The error for an Isaac Lab attribute without a counterpart in MuJoCo; ``hasattr`` then returns False."""
 
 
 class UnsupportedMember:
-    """A descriptor of an Isaac Lab member without a counterpart in MuJoCo; access raises ``NotInMuJoCo``."""
+    """A descriptor of an Isaac Lab attribute without a counterpart in MuJoCo; access raises ``NotInMuJoCo``."""
 
     def __init__(self, name: str, why: str) -> None:
         self.name, self.why = name, why
@@ -54,11 +54,13 @@ class UnsupportedMember:
     def __get__(self, instance: object, owner: type) -> Any:
         if instance is None:
             return self
-        raise NotInMuJoCo(f"Isaac Lab's '{self.name}' does not exist here: {self.why}", where=type(instance).__name__)
+        raise NotInMuJoCo(
+            f"Isaac Lab's attribute '{self.name}' does not exist in MuJoCo: {self.why}", where=type(instance).__name__
+        )
 
 
 def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class]:
-    """Add members to a class that raise ``NotInMuJoCo``, with one reason per member name."""
+    """Add attributes to a class that raise ``NotInMuJoCo`` on access, with one reason per attribute name."""
 
     def give(owner: _Class) -> _Class:
         for name, why in reasons.items():
@@ -69,6 +71,6 @@ def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class
 
 
 def unsupported_members(owner: type) -> dict[str, str]:
-    """Return the unsupported members of a class and the reason for each."""
+    """Return the names of a class's unsupported attributes, and the reason for each of them."""
     found = (item for kind in reversed(owner.__mro__) for item in vars(kind).items())
     return {name: member.why for name, member in found if isinstance(member, UnsupportedMember)}

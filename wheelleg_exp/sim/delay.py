@@ -1,4 +1,4 @@
-"""Delays of samples and joint targets by some physics steps, with a separate lag in each environment."""
+"""Delay samples and joint targets by a number of physics steps that can differ between environments."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from wheelleg_exp.state import Stateful
 class DelayBuffer:
     """A buffer of the last samples of each environment; ``push`` returns the sample of age ``lag``.
 
-    The first sample after a reset replaces all earlier samples. The age is therefore ``min(lag, samples - 1)``, as in
-    Isaac Lab's ``DelayBuffer``. Each reset draws lags uniformly from the range ``lags``; before the first reset all
-    lags are 0. The samples have the shape (N, ...) and the device of ``sample``.
+    The first sample after a reset replaces all earlier samples of the environment. Therefore the age of the returned
+    sample is ``min(lag, samples - 1)``, as in Isaac Lab's ``DelayBuffer``. Each reset draws lags uniformly from the
+    range ``lags``; before the first reset all lags are 0. All samples have the shape (N, ...) and the device of the
+    argument ``sample``.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
@@ -35,11 +36,11 @@ class DelayBuffer:
         return self._read(self._samples)
 
     def peek(self, sample: torch.Tensor) -> torch.Tensor:
-        """Return the delayed sample that ``push`` would return, without storing ``sample``."""
+        """Return the delayed sample that ``push`` would return, but do not store ``sample``."""
         return self._read(self._pushed(sample))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Drop the samples of the environments ``env_ids`` and draw new lags."""
+        """Drop the stored samples of the environments ``env_ids``, and draw new lags for them."""
         low, high = self._range
         size, device = (len(env_ids),), self.lag.device
         self.lag[env_ids] = torch.randint(low, high + 1, size, generator=self._generator, device=device)
@@ -65,9 +66,9 @@ class DelayBuffer:
 
 
 class TargetDelay(Stateful):
-    """Delays the targets of a group of joints by some physics steps, with one lag per environment.
+    """Delays the targets of a group of joints by a number of physics steps, with one lag per environment.
 
-    ``bounds`` are the shortest and the longest lag, physics steps, and ``shape`` is (N, J).
+    ``bounds`` are the shortest and the longest lag, in physics steps, and ``shape`` is (N, J).
     """
 
     settings = ("_ids",)
@@ -82,11 +83,11 @@ class TargetDelay(Stateful):
         self.targets = JointTargets(*self._seen.unbind(dim=1))
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Drop the joint targets of the environments ``env_ids`` and draw new lags."""
+        """Drop the stored joint targets of the environments ``env_ids``, and draw new lags for them."""
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
-        """Store the joint targets of a physics step and return the delayed ones, valid only for the group's joints."""
+        """Store the joint targets of a physics step; return delayed targets, valid only for the group's joints."""
         ids = self._ids
         now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
         self._seen[:, :, ids] = self._past.push(now)

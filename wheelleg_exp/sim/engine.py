@@ -1,4 +1,4 @@
-"""The interface of an engine: N simulations of one model, visible as live tensors on one device."""
+"""The interface of an engine: N simulations of one MuJoCo model, with states as tensors on one device."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ WRENCHES = "wrenches"
 class Engine(Kept, ABC):
     """N simulations of one model.
 
-    State fields are always current. Once a term has called ``derived``, each step also updates the outputs that depend
-    on positions and velocities. Torques and contact forces are those of the last physics step, as in PhysX and Isaac
-    Lab.
+    State fields are always current. Once a term has called ``derived``, each physics step also updates the quantities
+    that depend on positions and velocities. Torques and contact forces belong to the last physics step, as in PhysX and
+    Isaac Lab.
 
     Attributes:
         name: the engine's name in ``env.sim.engine``.
@@ -29,10 +29,10 @@ class Engine(Kept, ABC):
         device: device of all tensors.
         dtype: type of the engine's numbers.
         state: the numbers that determine the next step, one row per simulation, (N, k).
-        nthread: CPU threads that step the simulations.
+        nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: the tensors other than states that terms obtained to write to: model fields by name, ``WRENCHES``. The
-            reader of this set empties it.
+            code that reads this set also empties it.
     """
 
     name: ClassVar[str]
@@ -57,11 +57,10 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def view(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an MjData field.
+        """Return a view (N, ...) of an MjData field, which always shows the present values.
 
-        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written. All fields that do not belong
-        to the state are outputs of the last step. Read an output before the next call of ``forward``, which overwrites
-        it.
+        Code may write state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All other fields are outputs
+        of the last physics step. Read an output before the next call of ``forward``, which overwrites the output.
         """
 
     @property
@@ -71,7 +70,7 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def derived(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an output that depends on positions and velocities; each step updates it."""
+        """Return a view (N, ...) of a quantity that depends on positions and velocities; each step updates the view."""
 
     def may_differ(self, name: str) -> bool:
         """Return whether a model field can have one value per simulation."""
@@ -79,22 +78,22 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def expand(self, name: str) -> torch.Tensor:
-        """Give a model field one value per simulation; return the live tensor (N, ...).
+        """Give a model field one value per simulation; return the tensor (N, ...), to which events can write.
 
-        Call ``set_const`` after writing a field that constants depend on (masses, inertias, centres of mass).
+        Call ``set_const`` after writing a field that MuJoCo's constants depend on (masses, inertias, centres of mass).
         """
 
     @abstractmethod
     def set_const(self) -> None:
-        """Recompute the constants that MuJoCo derives from model fields, in each simulation."""
+        """Recompute, in each simulation, the constants that MuJoCo derives from model fields."""
 
     @abstractmethod
     def step(self) -> None:
-        """Advance every simulation by one physics step; SimulationFailure if the engine fails."""
+        """Advance every simulation by one physics step; raise SimulationFailure if the engine fails."""
 
     @property
     def is_captured(self) -> bool:
-        """Whether a control step with its physics steps can be captured as a CUDA graph."""
+        """Whether this engine can run inside a captured CUDA graph."""
         return False
 
     def require_room(self) -> None:
@@ -102,22 +101,22 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Recompute the derived outputs from the state of the simulations ``ids``; None means all simulations."""
+        """Recompute all derived quantities from the states of the simulations ``ids``; None means all simulations."""
 
     @abstractmethod
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        Do not change positions and velocities. Positions and velocities that are NaN or inf are replaced by the model's
-        defaults.
+        Positions and velocities do not change. However, positions and velocities that are NaN or inf are replaced by
+        the model's defaults.
         """
 
     @abstractmethod
     def unstable(self) -> torch.Tensor:
-        """Return which simulations, (N,) bool, have had NaN or huge values since their reset."""
+        """Return a mask (N,) of the simulations that have had NaN or huge values since their reset."""
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return one sum that is finite only if all positions and velocities of the simulations ``rows`` are finite."""
+        """Return a sum that is finite only if all positions and velocities of the simulations ``rows`` are finite."""
         return self.view("qpos")[rows].sum() + self.view("qvel")[rows].sum()
 
     @abstractmethod
@@ -128,16 +127,17 @@ class Engine(Kept, ABC):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return the distance of each ray's first hit, in lengths of the ray's direction vector, (n, R); -1 is a miss.
+        """Return the distance to each ray's first hit, (n, R), in lengths of its direction vector; -1 means no hit.
 
-        Origins, m, and directions are (n, R, 3) in world axes. Only geoms in ``geom_groups`` stop a ray; None means all
-        groups. ``ids`` are the simulations of the rays, (n,); None means all simulations.
+        The rays' origins, m, and directions have the shape (n, R, 3) and are in world axes. Only geoms in
+        ``geom_groups`` stop a ray; None means that all geoms stop a ray. ``ids`` are the simulations of the rays, (n,);
+        None means all simulations.
         """
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Declare that the geoms of a group never move; an engine may then cast their rays without the robot.
+        """Declare that the geoms of a group never move, so that an engine may cast rays without the robot.
 
-        ``alone`` returns a model that contains only these geoms, with the same names.
+        ``alone`` returns a model that contains only the geoms of this group, with unchanged names.
         """
         del geom_group, alone
 

@@ -11,33 +11,33 @@ _ALL = slice(None)
 
 
 def ids_where(mask: torch.Tensor) -> torch.Tensor:
-    """Return the indices (n,) at which a mask (N,) is True; on a GPU, the host waits for the number n."""
+    """Return the indices (n,) at which a mask (N,) is True; on a GPU, the host waits for the result."""
     return mask.nonzero().squeeze(1)
 
 
 def chosen(ids: Ids, everything: torch.Tensor) -> torch.Tensor:
-    """Return indices as a tensor (n,); None means all indices, ``everything`` (N,)."""
+    """Return indices as a tensor (n,); None stands for all indices, ``everything`` (N,)."""
     if ids is None or isinstance(ids, torch.Tensor):
         return everything if ids is None else ids
     return everything[ids] if isinstance(ids, slice) else torch.tensor(list(ids), device=everything.device)
 
 
 def not_finite(values: torch.Tensor) -> torch.Tensor:
-    """Return a mask of the values that are NaN or inf; only for NaN and inf is ``x - x`` NaN."""
+    """Return a mask of the values that are NaN or inf, for which ``x - x`` is NaN."""
     return values - values != 0.0
 
 
 def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> torch.Tensor:
-    """Return the columns ``values[:, ids]``, (N, k, ...), several times faster than by indexing."""
+    """Return the columns ``values[:, ids]``, (N, k, ...); this function is several times faster than indexing."""
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         return values.index_select(1, ids)
     return values if isinstance(ids, slice) and ids == _ALL else values[:, ids]
 
 
 def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
-    """Set the rows ``ids`` of values (N, ...) to a number.
+    """Set the rows ``ids`` of a tensor (N, ...) to a number.
 
-    In a CUDA graph, ``values[ids] = number`` would copy from the host.
+    The assignment ``values[ids] = number`` would copy from the host, which a CUDA graph cannot do.
     """
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         values.index_fill_(0, ids, number)
@@ -46,7 +46,7 @@ def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
 
 
 def columns(ids: Ids, device: torch.device) -> torch.Tensor | slice:
-    """Return indices of one dimension as a tensor or a slice; None means all indices."""
+    """Return indices along one dimension as a tensor or a slice; None stands for all indices."""
     if ids is None:
         return slice(None)
     return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)

@@ -1,4 +1,4 @@
-"""Matching names against regular expressions, with the rules of Isaac Lab's string utilities."""
+"""Match names against regular expressions, with the rules of Isaac Lab's string utilities."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ def match_names(
     what: str,
     preserve_order: bool = False,
 ) -> tuple[list[int], list[str]]:
-    """Return the indices and names that whole-match one or several regular expressions.
+    """Return the indices and names of the names that one or several regular expressions match completely.
 
-    The names are in the order of the asset, or with ``preserve_order`` in the order of the expressions. ConfigError if
-    an expression matches no name, or if two expressions match one name. The message contains the config key ``key`` and
-    the noun ``what`` (``joint``, ``body``).
+    The result has the order of the asset, or with ``preserve_order`` the order of the expressions. Raise ConfigError if
+    an expression matches no name, or if two expressions match one name. The error message contains the config key
+    ``key`` and the noun ``what`` (``joint`` or ``body``).
     """
     patterns = [expressions] if isinstance(expressions, str) else list(expressions)
     owner: dict[str, str] = {}
@@ -46,10 +46,10 @@ def match_names(
 def values_by_name(
     values: float | int | Mapping[str, Any], names: Sequence[str], default: Any, *, key: str, what: str
 ) -> list[Any]:
-    """Return one value for each name, from one number or from a mapping of expressions to values.
+    """Return one value for each name, given one number or a mapping from regular expressions to values.
 
-    A name that no expression matches gets the value ``default``. ``match_names`` raises the errors for wrong
-    expressions.
+    A name that no regular expression matches gets the value ``default``. ``match_names`` raises the errors for invalid
+    regular expressions.
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
@@ -62,7 +62,7 @@ def values_by_name(
 
 
 def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[ConfigError]:
-    """Return an error if a mapping from joint expressions to values leaves joints without a value."""
+    """Return an error if a mapping from regular expressions to values leaves joints without a value."""
     if not isinstance(values, Mapping):
         return []
     missing = [name for name in names if not any(_compiled(str(pattern), key).fullmatch(name) for pattern in values)]
@@ -71,7 +71,7 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
 
 
 def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
-    """Return the errors in ``env.robot.joint_order`` for a robot with the joints ``joints``."""
+    """Return the errors in the config key ``env.robot.joint_order`` for a robot with the joints ``joints``."""
     key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
     unknown = {name: nearest_name(str(name), joints) for name in order if name not in joints}
     wrong = [(f"the robot has no joint '{n}'", unknown[n]) for n in order if n not in joints]
@@ -87,10 +87,10 @@ def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigErro
 
 
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
-    """Return an error for each joint that two actuator groups or two action terms drive.
+    """Return an error for each joint that two actuator groups, or two action terms, drive at once.
 
-    ``claims`` has, for each actuator group or action term, its name, the config key of its joint expressions, and its
-    joints.
+    ``claims`` lists the actuator groups or action terms; each entry has a name, the config key of the joint
+    expressions, and the joints.
     """
     owner: dict[str, str] = {}
     errors = []

@@ -16,7 +16,7 @@ from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAl
 
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check that the engine supports the device and the solver, and that its packages are installed."""
+    """Check that the engine supports the device and the solver, and that the engine's packages are installed."""
     device = given["device"]
     if given["engine"] == "mujoco":
         if device != "cpu":
@@ -39,12 +39,12 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
-    """Options of the engine and the solver (``env.sim``), named as in MuJoCo.
+    """Options of the engine and the solver (``env.sim``); the solver options have MuJoCo's names.
 
     Attributes:
-        engine: ``mujoco`` is MuJoCo's batch on the CPU, which is bit-reproducible; ``warp`` is mujoco-warp in single
-            precision on a GPU, or on the CPU for tests.
-        device: device of the engine's tensors: ``cpu``, or ``cuda:0`` and so on for the engine ``warp``.
+        engine: ``mujoco`` simulates on the CPU and is bit-reproducible; ``warp`` is mujoco-warp in single precision on
+            a GPU, or on the CPU for tests.
+        device: device of the engine's tensors, ``cpu``, or for the engine ``warp`` also ``cuda:0`` and so on.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
         integrator: MuJoCo integrator.
@@ -101,7 +101,7 @@ class SceneOptions:
 
 @dataclass(frozen=True)
 class InitState:
-    """The state that resets start from (``env.robot.init_state``).
+    """The robot's default state, to which resets return the robot (``env.robot.init_state``).
 
     Attributes:
         pos: root link, m.

@@ -27,7 +27,7 @@ ACTUATORS_KEY = "env.robot.actuators"
 
 
 class Robot(RobotWriters):
-    """The robot of the scene; ``RobotWriters`` has the members that terms use. Its actuators are added to ``spec``."""
+    """The robot of the scene, with the methods of ``RobotWriters``. The constructor adds actuators to ``spec``."""
 
     def __init__(
         self,
@@ -81,16 +81,16 @@ class Robot(RobotWriters):
         self._has_new_targets = True
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
-        # The forces and torques on the root, with the components as the first dimensions, (2, 3, N).
+        # The force and torque on the root link, with the vector components as the first dimensions, (2, 3, N).
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
-        # The environments whose state was written since the last refresh. A reset writes several times with the same
-        # tensor of indices, so a list with an identity check is cheaper than a mask.
+        # The environments whose state was written since the last refresh, as a list of index tensors.
+        # A reset writes often with one index tensor, so a list that stores this tensor once is cheaper than a mask.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # In memory, the components are the first dimensions. Rotation matrices have the same layout.
+        # In memory, the vector components are the first dimensions, as in the rotation matrices.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
@@ -102,13 +102,13 @@ class Robot(RobotWriters):
         return torque
 
     def _targets_of_joints(self) -> JointTargets:
-        """Return the targets minus the encoder bias, because a drive controls the encoder's reading."""
+        """Return the joint targets minus the encoder bias, because a drive controls the encoder's reading."""
         if not self.data.has_encoder_bias:
             return self.targets
         return JointTargets(self.targets.pos - self.data.encoder_bias, self.targets.vel, self.targets.effort)
 
     def _gains(self, name: str, in_solver: bool) -> torch.Tensor:
-        """Return an actuator gain for each joint, (N, J); with ``in_solver``, the gain of explicit actuators is 0."""
+        """Return a gain of each joint's actuator, (N, J); ``in_solver`` gives 0 to actuators outside the solver."""
         found = torch.zeros_like(self.targets.pos)
         for actuator in self.actuators.values():
             if isinstance(actuator, ImplicitActuator) or not in_solver:
@@ -116,7 +116,7 @@ class Robot(RobotWriters):
         return found
 
     def shape_ids(self, body_ids: torch.Tensor | slice) -> torch.Tensor:
-        """Return the model's ids of the colliding geoms of the bodies (indices into ``body_names``)."""
+        """Return the MuJoCo ids of the bodies' geoms that can collide; ``bodies`` are indices into ``body_names``."""
         model = self._sim.model
         solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         bodies = set(self.body_ids[body_ids].tolist())
@@ -133,7 +133,7 @@ class Robot(RobotWriters):
         self._has_new_targets = True
 
     def write_data_to_sim(self) -> None:
-        """Compute the MuJoCo controls with the actuator models, and write permanent wrenches in world axes."""
+        """Compute the MuJoCo controls with the actuator models, and write lasting external wrenches in world axes."""
         data = self.data
         data.before_step()
         start, targets = 0, self._targets_of_joints()
@@ -145,14 +145,14 @@ class Robot(RobotWriters):
             start = stop
         self._has_new_targets = False
         bodies = list(self._wrench_bodies)
-        if bodies == [0]:  # The root's rotation is part of the state, so it needs no forward kinematics.
+        if bodies == [0]:  # The root's rotation is part of the state and needs no forward kinematics.
             self._root_xfrc.copy_((data.root_rot_w.permute(1, 2, 0) * self._root_wrench).sum(dim=2))
         elif bodies:
             world = data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
             self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
 
     def reset(self, env_ids: Ids = None) -> None:
-        """Clear the wrenches and the reported torques of ``env_ids``; events and actions set states and targets."""
+        """Clear the external wrenches and the reported torques of the environments ``env_ids``."""
         ids = self._rows(env_ids)
         if self._wrench_bodies:
             self._wrench.index_fill_(0, ids, 0.0)
@@ -172,11 +172,11 @@ class Robot(RobotWriters):
 
     @property
     def is_stale(self) -> bool:
-        """Whether the state was written after derived quantities were last computed."""
+        """Whether the state has been written since derived quantities were last computed."""
         return bool(self._stale)
 
     def take_stale(self) -> torch.Tensor:
-        """Return the environments whose state was written after the last call of this method, (n,)."""
+        """Return the environments whose state has been written since the last call of this method, (n,)."""
         ids = self._stale[0] if len(self._stale) == 1 else ids_where(self._stale_rows())
         self._stale = []
         return ids

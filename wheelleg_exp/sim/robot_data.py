@@ -1,6 +1,6 @@
-"""The robot's state under Isaac Lab's names.
+"""The robot's state, with the attribute names of Isaac Lab.
 
-Each quantity is computed on the first read after a change of the state.
+Each quantity is computed when it is first read after a change of the robot's state.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
 from wheelleg_exp.state import Kept
 
-# Tensors that come from the config and the model, and that events can change.
+# Parameters from the config and the model, which events can change.
 _SETTINGS = (
     *("default_joint_pos", "default_joint_vel", "joint_pos_limits", "soft_joint_pos_limits", "soft_joint_vel_limits"),
     *("joint_effort_limits", "encoder_bias", "com_b"),
@@ -26,9 +26,9 @@ _SETTINGS = (
 class RobotData(Kept):
     """The robot's state: float32, N environments, joints and bodies in the robot's order; always fresh.
 
-    The suffix ``_w`` means world axes, and ``_b`` means axes of the root link. Root linear velocities refer to the root
-    body's centre of mass, unless the attribute name contains ``link``. Poses refer to link frames. ``computed_torque``
-    returns the actuators' unclipped torques (N, J) of the last physics step.
+    In attribute names, the suffix ``_w`` means world axes, and ``_b`` means axes of the root link. Root linear
+    velocities refer to the root body's centre of mass, unless the attribute name contains ``link``. Poses refer to link
+    frames. The function ``computed_torque`` returns the actuators' unclipped torques (N, J) in the last physics step.
 
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
@@ -76,30 +76,30 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Create this view before the first physics step, because its values are zero until then.
+        # Request this view of the torques here, because a view contains zeros until the next physics step.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:
-        """Clear the cache of derived quantities. Call this method after each change of the state."""
+        """Clear the cache of derived quantities. Call this method after each change of the robot's state."""
         self._cache.clear()
         self._shows_outputs = False
 
     def outputs_refreshed(self) -> None:
-        """Clear the cache if it contains engine outputs, because the engine has just recomputed them."""
+        """Clear the cache if it contains engine outputs, because the engine has just computed new outputs."""
         if self._shows_outputs:
             self.invalidate()
 
     def _output(self, name: str) -> torch.Tensor:
-        """Return an output of the engine; after a write of the state, the output is stale until ``Scene.refresh``."""
+        """Return an output of the engine; after a write of the state, outputs are stale until ``Scene.refresh``."""
         self._shows_outputs = True
         return self._sim.derived(name)
 
     def before_step(self) -> None:
-        """Store the motion state that the coming physics step starts from."""
+        """Store the positions and velocities at the start of the next physics step."""
         self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
-        """Set the previous velocities (n, k) of the finite-difference accelerations, after velocities were written."""
+        """Set the earlier velocities (n, k) for computing joint accelerations, after velocities were written."""
         self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:
@@ -122,7 +122,7 @@ class RobotData(Kept):
         self.invalidate()
 
     def settings(self) -> dict[str, torch.Tensor]:
-        """Return the tensors that come from the config and the model, and that events can change."""
+        """Return the tensors of parameters from the config and the model, which events can change."""
         return {name: getattr(self, name) for name in _SETTINGS}
 
     def _model(self, name: str) -> torch.Tensor:
@@ -138,11 +138,11 @@ class RobotData(Kept):
         return self._model(name)[:, self._body_ids].float()
 
     def begin_control_step(self) -> None:
-        """Store the motion state that the coming control step starts from, for failure reports."""
+        """Store the positions and velocities at the start of the next control step, for failure reports."""
         self.motion_at_start.copy_(self._sim.motion)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the stored state of the last physics step."""
+        """Return the stored positions and velocities from the start of the last physics step."""
         names = ("motion_before", "torque_valid", "applied_torque")
         return {name: getattr(self, f"_{name}").clone() for name in names}
 
@@ -181,7 +181,7 @@ class RobotData(Kept):
     @cached_until_change
     def root_quat_w(self) -> torch.Tensor:
         """Orientation of the root link (w, x, y, z), (N, 4)."""
-        # MuJoCo normalises this quaternion in each step.
+        # MuJoCo normalises the root's quaternion in each physics step.
         return self._positions[:, 3:7] if self._floating else self.body_quat_w[:, 0]
 
     @cached_until_change
@@ -191,7 +191,7 @@ class RobotData(Kept):
 
     @cached_until_change
     def root_link_lin_vel_w(self) -> torch.Tensor:
-        """Velocity of the root link's origin, m/s, (N, 3)."""
+        """Velocity of the root link's origin in world axes, m/s, (N, 3)."""
         return (
             self._velocities[:, 0:3] if self._floating else torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
         )
@@ -241,7 +241,7 @@ class RobotData(Kept):
 
     @property
     def joint_pos_measured(self) -> torch.Tensor:
-        """Readings of the joints' encoders, which are position plus bias, rad, (N, J)."""
+        """Readings of the joints' encoders (joint position plus encoder bias), rad, (N, J)."""
         return self.joint_pos + self.encoder_bias if self.has_encoder_bias else self.joint_pos
 
     @cached_until_change
@@ -296,7 +296,7 @@ class RobotData(Kept):
     @cached_until_change
     def body_lin_vel_w(self) -> torch.Tensor:
         """Velocities of the links' centres of mass, m/s, (N, B, 3)."""
-        # MuJoCo's cvel refers to the centre of mass of the kinematic tree. Shift it to each body's centre of mass.
+        # MuJoCo's cvel refers to the centre of mass of the kinematic tree; convert cvel to each body's centre of mass.
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
         offset = self._output("xipos")[:, self._body_ids] - tree_com

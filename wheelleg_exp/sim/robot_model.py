@@ -19,7 +19,7 @@ from wheelleg_exp.state import Kept
 
 
 class RobotLayout(Kept):
-    """The robot's names, order, defaults and limits; ConfigError if ``env.robot`` does not fit the robot."""
+    """The robot's joints, bodies, defaults, and limits; raise ConfigError if ``env.robot`` does not fit the robot."""
 
     def __init__(self, options: RobotOptions, spec: mujoco.MjSpec, root_name: str, device: torch.device) -> None:
         self._options = options
@@ -49,7 +49,7 @@ class RobotLayout(Kept):
             bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
 
     def bind(self, model: mujoco.MjModel) -> None:
-        """Read ids and limits from the compiled model; ConfigError if a default is outside its joint's limits."""
+        """Read ids and joint limits from the compiled model; raise ConfigError if a default is outside the limits."""
         self.qpos_ids = self._ids(int(model.joint(j).qposadr[0]) for j in self.joint_names)
         self.dof_ids = self._ids(int(model.joint(j).dofadr[0]) for j in self.joint_names)
         self.joint_ids = self._ids(int(model.joint(j).id) for j in self.joint_names)
@@ -78,7 +78,7 @@ class RobotLayout(Kept):
 
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
-    """Return joint limits (..., 2) scaled by ``factor`` about their middle; infinite limits are unchanged."""
+    """Scale joint limits (..., 2) by ``factor`` about the middle of their range; infinite limits do not change."""
     middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
     half = half * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)
@@ -103,31 +103,34 @@ class JointTargets(Kept):
             value.copy_(saved[f"joint_{name}_target"])
 
 
-_ROBOT_GROUP = 1  # Robot geoms in the ground's geom group move to this geom group, which MuJoCo also draws by default.
+_ROBOT_GROUP = 1  # The geom group to which robot geoms in the ground's geom group move.
 
 
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
-    """Return a robot and the name of its root body; AssetError unless the MJCF file contains exactly one robot.
+    """Return a robot and its root body's name; raise AssetError unless the MJCF file contains exactly one robot.
 
-    Actuators, keyframes and sensors of the MJCF file are removed, because the config defines actuators and sensors.
+    This function removes the MJCF file's actuators, keyframes and sensors, because the config defines actuators and
+    sensors.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(mjcf))
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise AssetError(f"MuJoCo cannot read it: {reason}", key=str(mjcf), expected="an MJCF file") from error
+        raise AssetError(
+            f"MuJoCo cannot read the robot file: {reason}", key=str(mjcf), expected="an MJCF file"
+        ) from error
     for element in [*spec.actuators, *spec.keys, *spec.sensors]:
         spec.delete(element)
     roots = [body for body in spec.worldbody.bodies if body.joints or body.bodies]
     if len(roots) != 1:
         message = f"the file contains {len(roots)} robots"
         raise AssetError(message, key=str(mjcf), expected="exactly one tree of moving bodies")
-    roots[0].simple = 0  # MuJoCo's shortcut for simple bodies would ignore events that move the centre of mass.
+    roots[0].simple = 0  # MuJoCo's shortcut for simple bodies would ignore a shifted centre of mass.
     return spec, str(roots[0].name)
 
 
 def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
-    """Enable or disable collisions between the robot's geoms; pairs of bodies that the file excludes never collide."""
+    """Enable or disable self-collisions of the robot; body pairs that the robot's MJCF file excludes never collide."""
     if wanted is None:
         return
     for geom in spec.geoms:
@@ -136,7 +139,7 @@ def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
 
 
 def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
-    """Put only the ground's geoms into the ground's geom group, so that rays can select the ground by its group."""
+    """Move the robot's geoms out of the ground's geom group, so that rays can select the ground by its geom group."""
     for geom in spec.geoms:
         if is_ground(geom.name):
             geom.group = GROUND_GROUP
@@ -147,9 +150,9 @@ def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
     """Rotate the root link's frame about its origin without moving the robot's shapes and masses.
 
-    Use this function for robots whose file does not have x forwards and z upwards. Every manager term reads velocities,
-    gravity and commands in the new frame. ``env.robot.init_state.rot`` also refers to the new frame. ``frame`` is the
-    new frame's orientation in the file's frame, a quaternion (w, x, y, z) of any length.
+    Use this function for robots whose file does not have x forwards and z upwards. Observations, rewards and commands
+    then refer to the new frame. ``env.robot.init_state.rot`` also refers to the new frame. ``frame`` is the orientation
+    of the new root frame in the file's root frame, a quaternion (w, x, y, z) of any length.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)
@@ -161,7 +164,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
         if frame_or_element.frame is None:
             frame_or_element.set_frame(turned)
     if root.explicitinertial:
-        # Rotate an explicit inertia. MuJoCo derives all other inertias from the shapes, which are rotated already.
+        # Rotate an inertia that the MJCF file states. MuJoCo derives all other inertias from the rotated shapes.
         ipos = np.empty(3)
         mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
         root.ipos = ipos

@@ -21,7 +21,7 @@ from wheelleg_exp.state import Kept
 
 _PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
-_STRONGEST = 1e10  # N·m; a drive without a torque limit gets MuJoCo's largest number
+_STRONGEST = 1e10  # N·m; MuJoCo's largest number, for a drive without a torque limit
 Values = torch.Tensor | float
 _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 
@@ -35,10 +35,10 @@ _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 class RobotWriters(Kept):
     """Methods that find joints and bodies, write the robot's state and parameters, and set joint targets.
 
-    Indices are tensors, lists, slices, or None, which means all. Poses, velocities and states are in world axes. A pose
-    is (x, y, z) and a quaternion (w, x, y, z). A velocity is a linear and an angular velocity. A state is a pose and a
-    velocity. Values of joint parameters are (n, k) for n environments and k joints, or one number. A joint without an
-    actuator ignores gains and limits.
+    Indices of environments and joints are tensors, lists, slices, or None, which means all of them. Poses, velocities
+    and states are in world axes. A pose is (x, y, z) and a quaternion (w, x, y, z). A velocity is a linear and an
+    angular velocity. A state is a pose and a velocity. Values of joint parameters are a tensor (n, k) for n
+    environments and k joints, or one number for all. Gains and limits have no effect on a joint without an actuator.
     """
 
     options: RobotOptions
@@ -58,7 +58,7 @@ class RobotWriters(Kept):
     _has_new_targets: bool
 
     def mark_written(self, ids: torch.Tensor) -> None:
-        """Mark the state or model fields of ``ids`` as written, so that derived quantities are recomputed."""
+        """Mark the state or model fields of the environments ``ids`` as written, so that caches are recomputed."""
         raise NotImplementedError
 
     body_names = alias_of("layout.body_names", "Names of the bodies, breadth first.")
@@ -96,10 +96,11 @@ class RobotWriters(Kept):
         *,
         key: str | None = None,
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the joints that match expressions; ConfigError if an expression matches no joint.
+        """Return indices and names of the joints that match; raise ConfigError if an expression matches no joint.
 
-        Indices refer to ``joint_subset``, or to all joints. With ``preserve_order``, the joints are in the order of the
-        expressions instead of the robot's order. ``key`` is the config key of the expressions for error messages.
+        The returned indices refer to ``joint_subset`` if it is given, otherwise to all joints. With ``preserve_order``,
+        the joints are in the order of the expressions instead of the robot's order. Error messages name ``key``, the
+        config key of the expressions.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -107,7 +108,7 @@ class RobotWriters(Kept):
     def find_bodies(
         self, name_keys: str | Sequence[str], preserve_order: bool = False, *, key: str | None = None
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the bodies that match (see ``find_joints``)."""
+        """Return indices and names of the bodies that match regular expressions (see ``find_joints``)."""
         return match_names(name_keys, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
@@ -122,7 +123,7 @@ class RobotWriters(Kept):
     write_root_link_pose_to_sim = write_root_pose_to_sim
 
     def write_root_com_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the pose (n, 7) of the root body's centre of mass and principal axes."""
+        """Set the root's pose (n, 7), given as the pose of the root body's centre of mass and principal axes."""
         ids = self._rows(env_ids)
         axes = self.data.body_com_quat_b[ids, 0]
         quat = rotation.quat_mul(root_pose[:, 3:7], axes * axes.new_tensor([1.0, -1.0, -1.0, -1.0]))
@@ -130,20 +131,20 @@ class RobotWriters(Kept):
         self.write_root_pose_to_sim(torch.cat((position, quat), dim=1), ids)
 
     def write_root_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the velocity (n, 6) of the root body's centre of mass, at the present orientation."""
+        """Set the velocity (n, 6) of the root body's centre of mass; the conversion uses the present orientation."""
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         velocity = root_velocity.to(dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
         angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
-        # v_link = v_com - omega x R c = v_com - R (omega_b x c)
+        # velocity of the link: v_link = v_com - omega x R c = v_com - R (omega_b x c)
         lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
         self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
 
     write_root_com_velocity_to_sim = write_root_velocity_to_sim
 
     def write_root_link_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the velocity (n, 6) of the root link's origin, at the present orientation."""
+        """Set the velocity (n, 6) of the root link's origin; the conversion uses the present orientation."""
         self._require_floating()
         ids, velocity = self._rows(env_ids), root_velocity.to(self._sim.dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
@@ -156,12 +157,12 @@ class RobotWriters(Kept):
         self.mark_written(ids)
 
     def write_root_state_to_sim(self, root_state: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the root link's pose and its centre of mass's velocity (n, 13)."""
+        """Set the pose of the root link and the velocity of the root body's centre of mass, (n, 13)."""
         self.write_root_pose_to_sim(root_state[:, :7], env_ids)
         self.write_root_velocity_to_sim(root_state[:, 7:], env_ids)
 
     def write_root_link_state_to_sim(self, root_state: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the root link's pose and its origin's velocity (n, 13)."""
+        """Set the pose of the root link and the velocity of the root link's origin, (n, 13)."""
         self.write_root_pose_to_sim(root_state[:, :7], env_ids)
         self.write_root_link_velocity_to_sim(root_state[:, 7:], env_ids)
 
@@ -173,7 +174,7 @@ class RobotWriters(Kept):
     def write_joint_state_to_sim(
         self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None
     ) -> None:
-        """Set joint positions and velocities (n, k), rad and rad/s, without an effect on the reported accelerations."""
+        """Set joint positions (n, k), rad, and velocities (n, k), rad/s; the reported accelerations do not change."""
         self.write_joint_position_to_sim(position, joint_ids, env_ids)
         self.write_joint_velocity_to_sim(velocity, joint_ids, env_ids)
 
@@ -184,7 +185,7 @@ class RobotWriters(Kept):
         self.mark_written(ids)
 
     def write_joint_velocity_to_sim(self, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set joint velocities (n, k), rad/s, without an effect on the reported accelerations."""
+        """Set joint velocities (n, k), rad/s; the reported joint accelerations do not change."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._qvel[ids.unsqueeze(1), self.layout.dof_ids[joints]] = velocity.to(self._sim.dtype)
         self.data.set_velocity_before(ids, joints, velocity)
@@ -226,11 +227,11 @@ class RobotWriters(Kept):
         env_ids: Ids = None,
         is_global: bool = False,
     ) -> None:
-        """Set forces (n, k, 3) in N and torques (n, k, 3) in N·m on bodies, until the next reset of ``env_ids``.
+        """Apply forces (n, k, 3), N, and torques (n, k, 3), N·m, to bodies until the next reset of ``env_ids``.
 
-        Forces act at the centres of mass, or at ``positions`` (n, k, 3), m, in the link's frame. Forces and torques are
-        in link axes and rotate with the links. With ``is_global``, forces, torques and positions are in world axes at
-        the time of the call.
+        The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the link's frame. Forces and
+        torques are in link axes and rotate with the links. With ``is_global``, forces, torques and positions are in
+        world axes at the time of the call.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -248,7 +249,7 @@ class RobotWriters(Kept):
         self.set_permanent_wrench(ids, bodies.tolist(), torch.cat((forces, torques), dim=-1))
 
     def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
-        """Set wrenches (n, k, 6) at the bodies' centres of mass, in link axes, until the next reset of ``ids``."""
+        """Apply wrenches (n, k, 6) at the bodies' centres of mass, in link axes, until the next reset of ``ids``."""
         columns_of_bodies = wrench.view(ids.shape[0], -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
         for body, values in zip(body_ids, columns_of_bodies.unbind(dim=1), strict=True):
             self._wrench[:, body].index_copy_(0, ids, values)
@@ -260,13 +261,13 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # A captured CUDA graph compares the identity of this tuple, so replace the tuple only if a body is new.
+        # A captured CUDA graph compares the identity of the tuple, so replace the tuple only if a body is new.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
 
     def update(self, dt: float) -> None:
-        """Do nothing, because ``data`` is always current."""
+        """Do nothing, because the robot's ``data`` always shows the present state."""
         del dt
 
     def _rows(self, env_ids: Ids) -> torch.Tensor:
@@ -278,11 +279,11 @@ class RobotWriters(Kept):
             raise ConfigError(message, expected="terms that do not move the root, or env.robot.base=floating")
 
     def write_joint_stiffness_to_sim(self, stiffness: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set kp of the joints' actuators, N·m/rad."""
+        """Set the stiffness kp of the joints' actuators, N·m/rad."""
         self._write_gain("stiffness", 1, stiffness, joint_ids, env_ids)
 
     def write_joint_damping_to_sim(self, damping: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set kd of the joints' actuators, N·m·s/rad."""
+        """Set the damping kd of the joints' actuators, N·m·s/rad."""
         self._write_gain("damping", 2, damping, joint_ids, env_ids)
 
     def write_joint_effort_limit_to_sim(self, limits: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
@@ -296,7 +297,7 @@ class RobotWriters(Kept):
             field[ids, place] = torch.where(named.unsqueeze(1), both, field[ids, place])
 
     def write_joint_velocity_limit_to_sim(self, limits: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set the largest speeds of the joints' actuators, rad/s, to which velocity targets are clipped."""
+        """Set the velocity limits of the joints' actuators, rad/s; velocity targets are clipped to these limits."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._assign(self.data.soft_joint_vel_limits, ids, joints, limits)
         self._write_drives("velocity_limit", ids, joints, limits)
@@ -314,7 +315,7 @@ class RobotWriters(Kept):
         joint_ids: Ids = None,
         env_ids: Ids = None,
     ) -> None:
-        """Set friction losses, N·m, and passive dampings, N·m·s/rad; MuJoCo has no separate dynamic friction."""
+        """Set joint friction losses, N·m, and viscous frictions, N·m·s/rad; MuJoCo has no separate dynamic friction."""
         del joint_dynamic_friction_coeff
         self._write_dofs("dof_frictionloss", joint_friction_coeff, joint_ids, env_ids)
         if joint_viscous_friction_coeff is not None:
@@ -329,7 +330,7 @@ class RobotWriters(Kept):
     def write_joint_position_limit_to_sim(
         self, limits: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None, warn_limit_violation: bool = True
     ) -> None:
-        """Set joint limits (n, k, 2), rad, which may be infinite; update soft limits, and clamp default positions."""
+        """Set joint limits (n, k, 2), rad, possibly infinite; update the soft limits and clamp default positions."""
         del warn_limit_violation
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         data, sim = self.data, self._sim
@@ -339,14 +340,14 @@ class RobotWriters(Kept):
         data.default_joint_pos[ids] = data.default_joint_pos[ids].clamp(now[..., 0], now[..., 1])
         rows, places = ids.unsqueeze(1), self.layout.joint_ids[joints]
         written = now[:, joints].to(sim.dtype)
-        # MuJoCo has one switch for both limits of a joint. A very large number replaces an infinite limit.
+        # MuJoCo can only enable both limits of a joint at once, so a very large number replaces an infinite limit.
         far = 2.0 * math.pi * 1e6
         if sim.may_differ("jnt_limited") or not self.layout.all_limited:
             sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
         sim.expand("jnt_range")[rows, places] = written.clamp(-far, far)
 
     def write_encoder_bias(self, bias: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set the encoders' bias (reading minus position), rad."""
+        """Set the bias of the joints' encoders (reading minus position), rad."""
         self._assign(self.data.encoder_bias, self._rows(env_ids), columns(joint_ids, self.device), bias)
         self._has_new_targets = True
         self.data.invalidate()
@@ -360,12 +361,12 @@ class RobotWriters(Kept):
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """Write the actuators' gain or limit ``name``.
+        """Write the parameter ``name`` of the actuators, which is a gain or a limit.
 
-        For each group with a drive in the solver, return the slice of its controls, its values (n, k), and the mask
-        (k,) of the written joints.
+        Return the written values of each actuator group that MuJoCo's solver computes. Each entry has the slice of the
+        group's controls, the values (n, k), and the mask (k,) of the written joints.
         """
-        self._has_new_targets = True  # The controls of drives in MuJoCo's solver also depend on the gains.
+        self._has_new_targets = True  # MuJoCo's controls also depend on the actuator gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)

@@ -1,7 +1,7 @@
 """Rotations of whole tensors. Quaternions are (w, x, y, z); angles are radians.
 
-In memory, the matrices (N, 3, 3) of ``quat_to_matrix`` are nine rows of N numbers, so that each operation processes a
-contiguous row. Vectors (N, 3) and quaternions (N, 4) are contiguous as usual.
+The matrices (N, 3, 3) of ``quat_to_matrix`` are stored in memory as nine rows of N numbers, so that each operation
+processes a contiguous row. Vectors (N, 3) and quaternions (N, 4) have the usual contiguous memory layout.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from functools import cache
 
 import torch
 
-# This (16, 9) matrix maps the products q_a q_b of a unit quaternion, row a*4+b, to the rotation matrix R.
+# This (16, 9) matrix maps the products q_a q_b of a unit quaternion's components to the rotation matrix.
 _PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
 for _i in range(3):
     for _j in range(3):
@@ -24,7 +24,7 @@ for _i in range(3):
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
 
-# The table of the Hamilton product: each a_i b_j has the component that it is added to, and a sign.
+# The table of the Hamilton product: it adds each product a_i b_j, with a sign, to one component of the result.
 _PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
 for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
     for _j, _to in enumerate(_row):
@@ -32,7 +32,7 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
         _PRODUCTS_TO_QUAT[_i, _j, abs(_to)] = -1.0 if _negative else 1.0
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
-# The quaternion of roll, pitch and yaw as a linear map of products of half-angle cosines (index 0) and sines (index 1).
+# This table maps products of half-angle cosines (index 0) and sines (index 1) of roll, pitch and yaw to a quaternion.
 _HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
@@ -53,19 +53,19 @@ def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     parts, table, n = q.T.contiguous(), _on(_PRODUCTS_TO_MATRIX, q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    # A matrix-vector product has a different summation order than a matrix product, and so a different last bit.
+    # A matrix-vector product sums in another order than a matrix product, so the last bit of its result would differ.
     if n == 1:
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)
 
 
 def rotate(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
-    """Return R v for matrices (N, 3, 3) and vectors (N, 3)."""
+    """Return the rotated vectors R v (N, 3), for matrices R (N, 3, 3) and vectors v (N, 3)."""
     return (matrix.permute(1, 2, 0) * vector.T.unsqueeze(0)).sum(dim=1).T.contiguous()
 
 
 def rotate_inverse(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
-    """Return R^T v for matrices (N, 3, 3) and vectors (N, 3)."""
+    """Return the inversely rotated vectors R^T v (N, 3), for matrices R (N, 3, 3) and vectors v (N, 3)."""
     return (matrix.permute(1, 2, 0) * vector.T.unsqueeze(1)).sum(dim=0).T.contiguous()
 
 
@@ -76,7 +76,7 @@ def quat_mul(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
-    """Return the quaternions (n, 4) of Rz(yaw) Ry(pitch) Rx(roll), angles (n,), the convention of Isaac Lab."""
+    """Return the quaternions (n, 4) of the rotations Rz(yaw) Ry(pitch) Rx(roll) for angles (n,), as in Isaac Lab."""
     half = torch.stack((roll, pitch, yaw), dim=1) / 2
     roll, pitch, yaw = torch.stack((half.cos(), half.sin()), dim=2).unbind(dim=1)
     products = (roll.unsqueeze(2) * pitch.unsqueeze(1)).unsqueeze(3) * yaw.view(-1, 1, 1, 2)
@@ -89,7 +89,7 @@ def random_quat(count: int, generator: torch.Generator) -> torch.Tensor:
 
 
 def wrap_to_pi(angles: torch.Tensor) -> torch.Tensor:
-    """Wrap angles to [-pi, pi]; positive odd multiples of pi give +pi, negative ones -pi, as in Isaac Lab."""
+    """Wrap angles to [-pi, pi]; odd multiples of pi keep their sign (3 pi becomes +pi), as in Isaac Lab."""
     wrapped = (angles + torch.pi) % (2 * torch.pi)
     return torch.where((wrapped == 0) & (angles > 0), torch.pi, wrapped - torch.pi)
 

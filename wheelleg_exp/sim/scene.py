@@ -27,14 +27,15 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
-_FILE_PATHS = ("paths", "npaths", "nbuffer")  # These fields contain or count the file paths of a model.
+_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The fields of MjModel that contain or count file paths
 
 
 class Scene(Kept):
     """The ground, the robot and the sensors of N environments.
 
-    Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Before
-    ``play``, the model is a MuJoCo spec that can be edited. ``stream`` returns the random stream for a config key.
+    Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``
+    is called, the model is a MuJoCo spec that event terms can edit. ``stream`` returns the random stream for a config
+    key.
     """
 
     outside_graphs = ("_compiled", "spec", "options", "_sim_options")
@@ -71,8 +72,8 @@ class Scene(Kept):
             terrain.lay(spec)
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
-        # Give the robot's geoms the average of their friction and the ground's, as PhysX combines frictions.
-        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get that priority.
+        # Give the robot's geoms the average of the robot's and the ground's friction, as PhysX combines frictions.
+        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get the higher priority.
         ground = self.terrain.friction(robot.friction_source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
@@ -98,7 +99,7 @@ class Scene(Kept):
         self._compiled = _checksums(self.model)
         options = self._sim_options
         if options.engine == "warp":
-            # The module of the Warp engine imports large optional packages.
+            # Import the Warp engine only here, because its module imports large optional packages.
             from wheelleg_exp.sim.warp_engine import WarpEngine
 
             self.sim: Engine = WarpEngine(self.model, self.num_envs, options)
@@ -128,12 +129,12 @@ class Scene(Kept):
         return iter(("robot", "terrain", *self.sensors))
 
     def keys(self) -> list[str]:
-        """Return the names of the scene's members."""
+        """Return the names of the robot, the ground and the sensors in the scene."""
         return list(self)
 
     @property
     def cfg(self) -> SimpleNamespace:
-        """The part of the scene's config that terms written for Isaac Lab read."""
+        """The settings of the scene that terms written for Isaac Lab read."""
         return SimpleNamespace(num_envs=self.num_envs, env_spacing=self.options.env_spacing, terrain=self.terrain.cfg)
 
     @property
@@ -143,7 +144,7 @@ class Scene(Kept):
 
     @property
     def rigid_objects(self) -> dict[str, Any]:
-        """An empty dictionary, because the scene has no free bodies in addition to the robot."""
+        """An empty dictionary, because the robot is the only moving body of the scene."""
         return {}
 
     @property
@@ -152,7 +153,7 @@ class Scene(Kept):
         return self._sim_options.dt
 
     def contact_sensor(self, name: str) -> ContactSensor:
-        """Return a contact sensor by name; ConfigError if no contact sensor has that name."""
+        """Return a contact sensor by name; raise ConfigError if no contact sensor has that name."""
         sensor = self.sensors.get(name)
         if not isinstance(sensor, ContactSensor):
             expected = "one of " + (", ".join(self.sensors) or "(the scene has none)")
@@ -161,12 +162,12 @@ class Scene(Kept):
         return sensor
 
     def model_digest(self) -> str:
-        """Return the sha256 of the compiled model, which covers every value that the physics depends on."""
+        """Return the sha256 of the compiled model, including every value that the physics depends on."""
         return model_digest(self.model)
 
     def require_compiled_model(self) -> None:
-        """Raise ConfigError, with the changed fields, if a term has written to ``model``."""
-        # The engine simulates a copy of the model. Without this error, a write to the model would have no effect.
+        """Raise ConfigError, which names the changed fields, if a term has written to the compiled model."""
+        # The engine simulates a copy of the model, so a write to the original model would silently have no effect.
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
             raise ConfigError(
@@ -178,25 +179,25 @@ class Scene(Kept):
             )
 
     def write_data_to_sim(self) -> None:
-        """Compute the actuators' controls and write controls and wrenches, before each physics step."""
+        """Compute the actuators' controls and write the controls and external wrenches, before each physics step."""
         self.robot.write_data_to_sim()
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations, (N,) bool, have NaN or huge values after the last physics step."""
+        """Return a mask (N,) of the simulations that have NaN or huge values after the last physics step."""
         if self._unstable is None:
             self._unstable = self.sim.unstable()
         return self._unstable
 
     def motion(self) -> dict[str, torch.Tensor]:
-        """Return the engine's positions and velocities, (N, ...), by the names that failure reports use."""
+        """Return positions and velocities of the simulations, (N, ...), by the names that failure reports use."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
     def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
-        ``root_pose`` (N, 7), m and (w, x, y, z), relative to the environments' origins with ``is_relative``;
-        ``root_velocity`` (N, 6), of the centre of mass in world axes, m/s and rad/s; ``joint_position`` and
-        ``joint_velocity`` (N, J), rad and rad/s.
+        The result has ``root_pose`` (N, 7), m and (w, x, y, z), which ``is_relative`` makes relative to the
+        environments' origins; ``root_velocity`` (N, 6) of the centre of mass in world axes, m/s and rad/s; and
+        ``joint_position`` and ``joint_velocity`` (N, J), rad and rad/s.
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
@@ -206,7 +207,7 @@ class Scene(Kept):
         return {"articulation": {"robot": root | joints}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return the tensors that terms may have written to (see ``Engine.asked``), by the names of failure reports."""
+        """Return the tensors that terms may have written to (see ``Engine.asked``), by name for failure reports."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
         fields = sorted({*asked} - {WRENCHES})
         return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}
@@ -220,7 +221,7 @@ class Scene(Kept):
                 sensor.update()
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Reset the simulations, then the robot, then the sensors; reset events then set the new state."""
+        """Reset the simulations, then the robot, then the sensors; afterwards, reset events set the new state."""
         self.sim.reset(ids)
         self._unstable = self.unstable().index_fill(0, ids, False)
         self.robot.reset(ids)
@@ -229,7 +230,7 @@ class Scene(Kept):
                 sensor.reset(ids)
 
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log entries about limits that MuJoCo or a sensor could not enforce, for episodes that end now.
+        """Return log entries about limits that were exceeded in the episodes that end now.
 
         ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step; PhysX would have
         clamped the speed. ``<sensor>_...``: entries of each sensor.

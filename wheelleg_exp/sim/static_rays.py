@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-_MARGIN = 1e-6  # m; the boxes are enlarged by this margin, because of rounding errors
+_MARGIN = 1e-6  # m; margin by which the boxes are enlarged because of rounding errors
 
 Floats = npt.NDArray[np.float64]
 
 
 class GeomBoxes:
-    """The axis-aligned boxes around the geoms of a model that never move; the box of a plane is infinite."""
+    """The axis-aligned boxes around the static geoms of a model; the box around a plane is infinite."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)
@@ -34,7 +34,7 @@ class GeomBoxes:
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
-        for axis in range(3):  # Three comparisons of one axis are much faster than one comparison of three axes.
+        for axis in range(3):  # Comparing each axis separately is much faster than comparing (..., 3).
             found &= low[:, axis, None] <= self._high[:, axis]
             found &= high[:, axis, None] >= self._low[:, axis]
         return found
@@ -42,7 +42,8 @@ class GeomBoxes:
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Clip each ray to the box around all geoms; return the lower and upper corner (n, R, 3) of the remaining part.
 
-        Slab method (Kay and Kajiya 1986). A ray that misses the box gets an empty box: lower corner inf, upper -inf.
+        The function uses the slab method (Kay and Kajiya 1986). A ray that misses the box gets an empty box: lower
+        corner inf, upper -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -57,17 +58,17 @@ class GeomBoxes:
 
 _GEOM_FIELDS = ("geom_type", "geom_size", "geom_pos", "geom_quat")
 _ROWS = 32  # simulations per thread
-_MANY = 8  # With this many geoms or more, a block of rays is tested only against geoms that the rays may hit.
+_MANY = 8  # From this number of geoms on, rays are tested only against geoms that they can hit.
 _TOGETHER = 48  # rays in a block
 _SHOWN, _HIDDEN = 0, 1  # geom groups
 
 
 class StaticGeoms:
-    """A group of static geoms that is equal in all simulations, so that any simulation can cast any ray.
+    """A group of static geoms, which are equal in all simulations, so that any simulation can cast any ray.
 
     The rays are cast in a model without the robot, because MuJoCo tests each ray against every geom of a model.
-    ``alone`` returns the model that contains only the static geoms, with the same names. The first ray cast calls
-    ``alone``.
+    ``alone`` returns the model that contains only the static geoms, with the same names. The function ``alone`` is
+    called at the first ray cast.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:
@@ -102,7 +103,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # Cast one block of rays in each of the first simulations.
+            # Distribute the blocks of rays over the first simulations, one block for each simulation.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

@@ -1,7 +1,7 @@
-"""Countdown timers on a GPU, checked on the host without waiting for the GPU.
+"""Check on the host, without waiting for a GPU, whether countdown timers on the GPU may have expired.
 
-A lower bound of the smallest timer is copied to the host asynchronously every few steps. No timer can have expired
-while this bound exceeds the time since the copy.
+A lower bound of the smallest timer is copied to the host asynchronously every few steps. While the copied bound exceeds
+the time since the copy, no timer can have expired.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # The smallest timer is copied from the GPU every 16 steps.
+_EVERY = 16  # number of steps between two copies of the smallest timer from the GPU
 _SLACK = 1e-3  # s
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return False only if no timer can have expired. Always return True on a CPU, where reading the timers is cheap.
+    """Return whether a timer may have expired; always True on a CPU, where reading the timers is cheap.
 
-    Call this function once per step. ``timers`` are the remaining times, s, (n,); ``dt`` is the time since the last
-    call, s. Code that sets a timer to less than ``least``, s, must call ``forget``.
+    Call this function once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since
+    the last call, s. Code that sets a timer to less than ``least`` seconds must call ``forget``.
     """
     if not timers.is_cuda:
         return True
@@ -27,12 +27,12 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Drop all bounds, because other code has set timers, such as code that restores a checkpoint."""
+    """Drop all copied bounds, because other code has set the timers, for example a restored checkpoint."""
     _bounds.clear()
 
 
 class _Bound:
-    """A lower bound of the smallest timer, from the last copy that has arrived on the host."""
+    """A lower bound of the smallest timer, taken from the last GPU copy that has arrived on the host."""
 
     def __init__(self) -> None:
         self._bound = float("-inf")

@@ -16,23 +16,23 @@ from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.warp_fields import CONSTANTS, DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
-# Contacts per simulation, on average. A wheel-legged robot that lies on the ground has about twelve contacts.
+# Default capacity for contacts per simulation. A wheel-legged robot that lies on the ground has about twelve contacts.
 _CONTACTS = 24
-_ON_RELIEF = 48  # A height field or a mesh touches one geom in several points.
+_ON_RELIEF = 48  # Default contact capacity on a height field or a mesh, which touches one geom in several points.
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """Capacity of mujoco-warp's buffers, as ``contacts`` and constraint ``rows`` per simulation."""
+    """Capacity of mujoco-warp's buffers: the largest numbers of ``contacts`` and constraint ``rows`` per simulation."""
 
     contacts: int
     rows: int
 
 
 def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
-    """Return the capacity for a model; values of 0 for ``nconmax`` and ``njmax``, per simulation, are estimated."""
+    """Return the buffer capacity for a model; ``nconmax`` and ``njmax`` are per simulation, and 0 means an estimate."""
     uneven = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_MESH))
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     relief = bool((np.isin(model.geom_type, uneven) & solid).any())
@@ -60,11 +60,11 @@ class Overflow:
         self._seen = torch.zeros((), dtype=flags.dtype, device="cpu", pin_memory=flags.is_cuda)
 
     def look(self) -> None:
-        """Start copying the overflow flags to the host; ``require_none`` reads the copy once it has arrived."""
+        """Start to copy the overflow flags to the host; ``require_none`` reads the flags once they have arrived."""
         self._seen.copy_((self._flags & (self._rows | self._contacts)).amax(), non_blocking=True)
 
     def require_none(self, data: Any) -> None:
-        """Raise SimulationFailure if the overflow flags that have arrived on the host show an overflow."""
+        """Raise SimulationFailure if overflow flags that have arrived on the host report an overflow."""
         flags = int(self._seen)
         if not flags:
             return
@@ -87,9 +87,9 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    A physics step agrees with MuJoCo's step to single precision. On a GPU the order of contacts and sums differs from
-    run to run, so that two runs from the same state diverge. On the CPU device a run is bit-reproducible. ConfigError
-    if a package or a device is missing, or if mujoco-warp cannot simulate the model.
+    The result of a physics step agrees with MuJoCo's result to single precision. On a GPU the order of contacts and
+    sums differs from run to run, so that two runs from the same state diverge. On the CPU, a run is bit-reproducible.
+    ConfigError if a package or a device is missing, or if mujoco-warp cannot simulate the model.
     """
 
     name = "warp"
@@ -113,8 +113,8 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # The class Overflow raises an error, so the kernel need not print a warning.
-        # The number of contacts that contact sensors search: a power of two, at least twice their slots.
+        self._m.opt.warn_overflow = 0  # The class Overflow raises an error, so mujoco-warp need not print a warning.
+        # The number of contacts that a contact sensor searches: a power of two, at least twice the stored contacts.
         of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
         slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
         most = _LEAST_MATCHES
@@ -134,19 +134,19 @@ class WarpEngine(Engine):
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._all_ids = torch.arange(num_envs, device=self.device)
-        from wheelleg_exp.sim import warp_kernels  # The import of this module also imports Warp.
+        from wheelleg_exp.sim import warp_kernels  # This import also imports the package Warp.
 
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
         most_kept = dict.fromkeys(_MOTION, _HUGE)
-        # Warp arrays for resets by name: state, initial value, and the largest value that a reset keeps.
+        # The Warp arrays that a reset needs, by name: state, initial value, and the largest value to leave unchanged.
         self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
 
     @property
     def state(self) -> torch.Tensor:  # type: ignore[override]  # read-only
-        """A copy of the numbers that determine the next step, one row per simulation, (N, k)."""
+        """A copy of the numbers that determine the next physics step, one row per simulation, (N, k)."""
         return torch.cat([value.reshape(self.num_envs, -1).float() for value in self._state.values()], dim=1)
 
     def view(self, name: str) -> torch.Tensor:
@@ -156,7 +156,11 @@ class WarpEngine(Engine):
         view = self.view(name)
         if name not in self._current:
             if name not in DERIVED:
-                raise ConfigError(f"the engine 'warp' cannot keep '{name}' current", key=ENGINE, expected="mujoco")
+                raise ConfigError(
+                    f"the engine 'warp' cannot update the quantity '{name}' in each physics step",
+                    key=ENGINE,
+                    expected="mujoco",
+                )
             self._current.add(name)
             self._graphs.forget()
             self.forward()
@@ -178,7 +182,7 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
-            # The outputs of ``set_const`` get one value per simulation.
+            # The outputs of ``set_const`` now have one value per simulation, so captured graphs are no longer valid.
             self._graphs.forget()
             for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
                 self._fields.expand(name)
@@ -186,7 +190,7 @@ class WarpEngine(Engine):
         self.forward()
 
     def step(self) -> None:
-        """Advance every simulation by one physics step; on a GPU, an overflow is raised one or two steps later."""
+        """Advance every simulation by one physics step; on a GPU, an overflow raises an error one or two steps late."""
         if not self._graphs.is_capturing:
             self.require_room()
         self._graphs.run("step", self._advance)
@@ -259,7 +263,7 @@ class WarpEngine(Engine):
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
         points, ways = origins.to(self.dtype), directions.to(self.dtype)
-        # mujoco-warp casts the same number of rays in every simulation. Simulations without rays cast dummy rays.
+        # mujoco-warp casts equally many rays in every simulation, so simulations without rays cast dummy rays.
         if ids is not None:
             shape = (self.num_envs, *points.shape[1:])
             points = points.new_zeros(shape).index_copy_(0, ids, points)
@@ -281,7 +285,7 @@ class WarpEngine(Engine):
         return far if ids is None else far[ids]
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        del alone  # Later ray casts against this static geom group need no further kinematics.
+        del alone  # Ray casts against static geoms need no forward kinematics.
         with self._graphs.here():
             self._mjw.kinematics(self._m, self._d)
         self._still.add(geom_group)

@@ -1,4 +1,4 @@
-"""Fields of mujoco-warp's model and data as torch tensors in MuJoCo's shapes."""
+"""Access the fields of mujoco-warp's model and data as torch tensors in MuJoCo's shapes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.warp_runtime import ENGINE
 
-# The state of a simulation: these fields and the model determine the next step. A field may be empty.
+# The fields of a simulation's state, which together with the model determine the next physics step.
 STATE = (
     *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart"),
     *("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata"),
@@ -22,7 +22,7 @@ DERIVED = frozenset(
     """xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat subtree_com cdof cinert cvel
     cdof_dot sensordata""".split()  # noqa: SIM905
 )
-# The outputs of set_const. An output needs one value per simulation as soon as an input of set_const has one.
+# The outputs of set_const, which need one value per simulation as soon as an input of set_const has one.
 CONSTANTS = (
     *("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0", "tendon_length0", "tendon_invweight0"),
     *("eq_data", "cam_pos0", "cam_poscom0", "cam_mat0", "light_pos0", "light_poscom0", "light_dir0"),
@@ -31,7 +31,7 @@ CONSTANTS = (
 
 
 class DataFields:
-    """Fields of mujoco-warp's data, in MuJoCo's shapes."""
+    """The fields of mujoco-warp's data as torch tensors, in MuJoCo's shapes."""
 
     def __init__(self, wp: Any, data: Any, model: mujoco.MjModel) -> None:
         self._wp, self._data = wp, data
@@ -39,11 +39,11 @@ class DataFields:
         self._views: dict[str, torch.Tensor] = {}
 
     def view(self, name: str) -> torch.Tensor:
-        """Return a live view (N, ...) of an MjData field; ConfigError if mujoco-warp does not have the field."""
+        """Return a view (N, ...) of an MjData field; raise ConfigError if mujoco-warp does not have the field."""
         if name not in self._views:
             array, like = getattr(self._data, name, None), getattr(self._like, name, None)
             if like is None or not isinstance(array, self._wp.array):
-                raise ConfigError(f"mujoco-warp has no field '{name}'", key=ENGINE, expected="mujoco")
+                raise ConfigError(f"mujoco-warp does not have the field '{name}'", key=ENGINE, expected="mujoco")
             shape = (int(self._data.nworld), *np.shape(like))
             if array.size:
                 self._views[name] = self._wp.to_torch(array).view(shape)
@@ -52,13 +52,13 @@ class DataFields:
         return self._views[name]
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return live views of the fields that determine the next step, by name."""
+        """Return views of the fields that determine the next physics step, by name."""
         names = [name for name in STATE if hasattr(self._like, name) and hasattr(self._data, name)]
         return {name: self.view(name) for name in names if self.view(name).numel()}
 
 
 class ModelFields:
-    """Fields of mujoco-warp's model, with one value for all simulations, or one for each."""
+    """The fields of mujoco-warp's model, each with one value for all simulations or one value per simulation."""
 
     def __init__(self, wp: Any, on_device: Any, model: mujoco.MjModel, num_envs: int) -> None:
         self._wp, self._on_device, self._model, self._num_envs = wp, on_device, model, num_envs
@@ -66,13 +66,15 @@ class ModelFields:
         self._first: dict[str, torch.Tensor] = {}
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a field one value per simulation; return the live tensor (N, ...); ConfigError if that is impossible."""
+        """Give a field one value per simulation and return its tensor (N, ...); raise ConfigError if impossible."""
         if name not in self.own:
             owner, last = self._place(name)
             array: Any = getattr(owner, last, None)
             if not self.may_differ(name):
                 expected = "mujoco, or no event that gives each environment its own value"
-                raise ConfigError(f"mujoco-warp has one '{name}' for all simulations", key=ENGINE, expected=expected)
+                raise ConfigError(
+                    f"mujoco-warp has only one value of '{name}' for all simulations", key=ENGINE, expected=expected
+                )
             wp = self._wp
             each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
             wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))
@@ -82,7 +84,7 @@ class ModelFields:
         return self.own[name]
 
     def restore(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Write values (N, ...) by name; all other expanded fields get the model's values."""
+        """Write values (N, ...) to the named fields; all other expanded fields get the model's values."""
         for name in saved:
             self.expand(name)
         for name, values in self.own.items():
@@ -95,7 +97,7 @@ class ModelFields:
         return found
 
     def may_differ(self, name: str) -> bool:
-        """Return whether mujoco-warp's field has a leading dimension for simulations."""
+        """Return whether a field of mujoco-warp has a leading dimension for the simulations."""
         owner, last = self._place(name)
         array, like = getattr(owner, last, None), self._like(name)
         if like is None or not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):

@@ -1,4 +1,4 @@
-"""Warp kernels, each of which replaces a dozen torch kernels; Warp compiles a kernel at its first launch."""
+"""Warp kernels, each of which replaces a dozen torch kernels; Warp compiles each kernel at its first launch."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def restore(
     initial: wp.array(dtype=wp.float32),
     huge: wp.float32,
 ) -> None:
-    """Reset values of the simulations ``ids`` to the initial values where a magnitude is at least ``huge`` or NaN."""
+    """Replace NaN and magnitudes of at least ``huge`` by the initial values, in the simulations ``ids``."""
     row, column = wp.tid()
     world = int(ids[row])
     if not wp.abs(values[world, column]) < huge:
@@ -41,5 +41,5 @@ def spoil(
 
 
 def flat(values: Any) -> Any:
-    """Return a float32 tensor (N, ...) as a live two-dimensional array of Warp."""
+    """Return a two-dimensional Warp array that shares its memory with a float32 tensor (N, ...)."""
     return wp.from_torch(values.view(len(values), -1), dtype=wp.float32)

@@ -21,20 +21,20 @@ DEVICE = "env.sim.device"
 
 
 def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
-    """Return Warp and mujoco-warp for a device; ConfigError if a package or the device does not exist."""
+    """Return Warp and mujoco-warp for a device; raise ConfigError if a package or the device does not exist."""
     try:
         import warp as wp
 
-        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads its configuration only once.
+        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads its configuration only at its start.
             wp.config.log_level = wp.LOG_WARNING
             # The engine needs no gradient kernels, which would double the compile time.
             wp.config.enable_backward = False
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
-                wp.config.optimization_level = 0  # In tests on the CPU, compilation takes longer than the steps.
-                # Start Warp without its warning about a missing CUDA driver, which its C++ code writes to file
-                # descriptor 2.
+                wp.config.optimization_level = 0  # In CPU tests, compilation takes longer than the physics steps.
+                # Start Warp without its warning about a missing CUDA driver,
+                # which Warp's C++ code writes directly to file descriptor 2.
                 sys.stderr.flush()
                 saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
                 try:
@@ -66,7 +66,7 @@ def require_device(device: torch.device) -> None:
 
 
 def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
-    """Return mujoco-warp's model; ConfigError if mujoco-warp cannot simulate the MuJoCo model."""
+    """Convert a MuJoCo model to mujoco-warp; raise ConfigError if mujoco-warp cannot simulate the model."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -78,11 +78,11 @@ def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
 
 
 class Graphs:
-    """Launches functions on Warp's device in the order of torch's stream, on a GPU as CUDA graphs.
+    """Runs Warp functions in the order of torch's stream; on a GPU, the functions are captured as CUDA graphs.
 
-    The first call of a function runs it directly, which compiles its kernels. The second call captures it. Later calls
-    of the function launch the captured graph. While torch captures a CUDA graph, the function becomes part of torch's
-    graph.
+    The first call of a function runs the function directly, which compiles its kernels. The second call captures it.
+    Later calls of the function launch the captured graph. While torch captures a CUDA graph, a called function becomes
+    part of torch's graph.
     """
 
     def __init__(self, wp: Any, device: torch.device, wanted: bool) -> None:
@@ -97,7 +97,7 @@ class Graphs:
         return self._device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
     def forget(self) -> None:
-        """Drop all captured graphs, because their arrays were replaced."""
+        """Drop all captured graphs, because the arrays that they refer to were replaced."""
         self._captured.clear()
 
     @contextmanager
@@ -115,7 +115,7 @@ class Graphs:
                 yield
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Run a function that always launches the same kernels on the same arrays; ``name`` is the key of its graph."""
+        """Run a function that launches equal kernels on equal arrays in each call; ``name`` is its graph's key."""
         if not self._wanted or self.is_capturing:
             with self.here():
                 work()
@@ -135,7 +135,7 @@ class Graphs:
         return capture.graph
 
     def _stream(self) -> Any:
-        """Return torch's current stream for Warp; None for the default stream."""
+        """Return torch's current CUDA stream as a Warp stream; None means the default stream."""
         if self._device.type != "cuda":
             return None
         stream = torch.cuda.current_stream(self._device)

@@ -1,10 +1,10 @@
 """Walk over an object graph: find the objects below some roots, and the slots that hold their values.
 
-The checks for unsaved state and the capture of CUDA graphs both use the walk of this module. The walk must reach every
-object that a term can change, but no foreign object, because foreign objects can be huge or have side effects. So the
-walk enters objects of this package and of classes that derive from this package's classes, and the containers, bound
-methods, partials, and closures that hold them. A class lists in ``outside_graphs`` the attributes that no captured part
-of a step reads or writes.
+The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The walk must reach
+every object that a term can change, but no object of another package, because such objects can be huge or have side
+effects. So the walk visits objects whose class belongs to this package or derives from this package's classes. The walk
+also visits the containers, bound methods, partials, and closures that hold such objects. The class attribute
+``outside_graphs`` lists the attributes that no captured part of a step reads or writes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Named = tuple[str, Any]
 def walk(roots: Iterable[Named], children: Callable[[str, Any], Iterable[Named]]) -> Iterator[Named]:
     """Yield each object once with its dotted name: the roots, the ``children`` of each object, and so on."""
     waiting, seen = list(roots), set[int]()
-    # The list grows during the loop: a breadth-first search. Ids detect shared objects and cycles.
+    # The loop is a breadth-first search, during which the list grows. Ids detect shared objects and cycles.
     for name, node in waiting:
         if id(node) not in seen:
             seen.add(id(node))
@@ -41,7 +41,7 @@ def is_own(kind: type) -> bool:
 
 
 def is_plain(value: Any) -> bool:
-    """Return whether a value is a number, a text, None, or a tuple of such values."""
+    """Return whether a value is a number, a string, None, or a tuple of numbers, strings, and None."""
     if type(value) in PLAIN or isinstance(value, Number):
         return True
     return type(value) is tuple and all(map(is_plain, value))
@@ -50,7 +50,7 @@ def is_plain(value: Any) -> bool:
 class Slot:
     """A place that holds a value: an attribute of an object, or an entry of a dictionary or list in an attribute.
 
-    ``path`` is the name of the attribute, followed by the keys of nested dictionaries and lists.
+    ``path`` is the attribute's name, followed by the keys of nested dictionaries and lists.
     """
 
     def __init__(self, owner: Any, path: tuple[Any, ...]) -> None:
@@ -62,7 +62,7 @@ class Slot:
 
     @property
     def container(self) -> Any:
-        """The dictionary or list that holds the value directly; ``MISSING`` if the container no longer exists."""
+        """The dictionary or list that directly holds the value, or ``MISSING`` if the container no longer exists."""
         found: Any = vars(self.owner)
         for key in self.path[:-1]:
             found = entry(found, key)
@@ -72,24 +72,24 @@ class Slot:
 
     @property
     def containers(self) -> Iterator[tuple[Any, Any, Any]]:
-        """Every container on the path below the attributes, with its parent and its key in the parent."""
+        """Every dictionary or list on the path to the value, with its parent and its key in the parent."""
         parent: Any = vars(self.owner)
         for key in self.path[:-1]:
             yield parent, key, entry(parent, key)
             parent = entry(parent, key)
 
     def get(self) -> Any:
-        """Return the value of the slot; ``MISSING`` if the slot no longer exists."""
+        """Return the value in the slot, or ``MISSING`` if the slot no longer exists."""
         return entry(self.container, self.path[-1])
 
     def reader(self) -> Callable[[], Any]:
-        """Return a function that returns the value of the slot, faster than ``get`` for an attribute."""
+        """Return a function that returns the value in the slot; for attributes, the function is faster than ``get``."""
         if len(self.path) > 1:
             return self.get
         return functools.partial(vars(self.owner).get, self.path[0], MISSING)
 
     def set(self, value: Any) -> None:
-        """Assign a value to the slot. ``MISSING`` removes the entry from its dictionary."""
+        """Store a value in the slot. The value ``MISSING`` removes the entry from its dictionary."""
         container, key = self.container, self.path[-1]
         if value is MISSING and isinstance(container, dict):
             container.pop(key, None)
@@ -98,14 +98,14 @@ class Slot:
 
 
 def entry(container: Any, key: Any) -> Any:
-    """Return the entry of a dictionary or a list; ``MISSING`` if the key does not exist."""
+    """Return the entry of a dictionary or list, or ``MISSING`` if the key does not exist."""
     if isinstance(container, dict):
         return container.get(key, MISSING)
     return container[key] if isinstance(container, list) and key < len(container) else MISSING
 
 
 def parts(name: str, node: Any) -> Iterator[Named]:
-    """Yield every object directly below an object in which tensors or plain values may be found."""
+    """Yield every object that an object directly refers to and that may contain tensors, numbers, or strings."""
     if isinstance(node, functools.partial):
         found: Iterable[Any] = (node.func, *node.args, *node.keywords.values())
     elif isinstance(node, (tuple, set, frozenset, list)):
@@ -123,9 +123,9 @@ def parts(name: str, node: Any) -> Iterator[Named]:
 
 
 def attributes_in_graphs(node: Any) -> Iterator[Named]:
-    """Yield the attributes of an object of this package that a captured part of a step may read or write."""
+    """Yield those attributes of an object of this package that a captured part of a step may read or write."""
     kind = type(node)
-    # Objects of the package ``state`` only refer to the state of other objects.
+    # Skip objects of the package ``state``, which only refer to the state of other objects.
     if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):
         return
     skipped = {name for base in kind.__mro__ for name in vars(base).get("outside_graphs", ())}
@@ -147,6 +147,6 @@ def _slots_below(owner: Any, path: tuple[Any, ...], value: Any) -> Iterator[Slot
 
 
 def _are_names(owner: Any, value: Any) -> bool:
-    """Return whether a list of this package holds only names of joints and bodies, which never change."""
+    """Return whether a list contains only names of joints and bodies, which never change."""
     own = type(owner).__module__.partition(".")[0] == PACKAGE
     return own and isinstance(value, list) and all(type(item) is str for item in value)

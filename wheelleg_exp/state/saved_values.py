@@ -4,8 +4,8 @@ State is: tensors, arrays, numbers, text, random generators, plain containers of
 ``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as long as
 they do not change; and objects that another part saves (``Kept``). Every other value is ``Unsaveable``.
 
-``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries, because a checkpoint is
-loaded without running code. A reference appears in this tree as a ``Reference``.
+``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries, because loading a
+checkpoint must not run code. A value that a checkpoint does not store appears in this tree as a ``Reference``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from wheelleg_exp.state.object_graph import PLAIN
 TAG = "__kind__"
 NOTHING = object()
 CONTAINERS: dict[type, str] = {kind: kind.__name__ for kind in (list, tuple, dict, set, frozenset, deque)}
-# Objects of these types cannot change in place, so a checkpoint need not store them.
+# Types whose objects cannot change in place, so that a checkpoint need not store the objects.
 _CONSTANTS = (
     *(bytes, complex, range, slice, type, enum.Enum, re.Pattern, PurePath),
     *(torch.dtype, torch.device, torch.Size, np.dtype),
@@ -50,14 +50,14 @@ GENERATORS: dict[str, Generator] = {
 
 
 class Kept:
-    """Marks objects whose state another part saves.
+    """Marks objects whose state other code saves.
 
-    An object that refers to a ``Kept`` object does not save the state of that object again.
+    An object that refers to a ``Kept`` object does not save the ``Kept`` object's state again.
     """
 
 
 class NamedStream(Kept, torch.Generator):
-    """A random stream whose state the environment's streams save."""
+    """A random stream, whose state the environment's collection of streams saves."""
 
 
 class Unsaveable(Exception):
@@ -71,7 +71,7 @@ class Unsaveable(Exception):
 
 @dataclasses.dataclass
 class Reference:
-    """A value that a checkpoint does not store; ``seen`` is a copy of its contents, if they can change."""
+    """A value that a checkpoint does not store; ``seen`` is a copy of the value's contents, if they can change."""
 
     value: Any
     seen: Any = None
@@ -81,7 +81,7 @@ class Reference:
 
 
 def snapshot(value: Any, path: str) -> Any:
-    """Return a copy of a value as tensors, numbers, tagged dictionaries, and references, or raise Unsaveable."""
+    """Copy a value to tensors, numbers, tagged dictionaries, and references; raise Unsaveable if that fails."""
     if type(value) in PLAIN:
         return value
     if isinstance(value, torch.Tensor):
@@ -97,7 +97,7 @@ def snapshot(value: Any, path: str) -> Any:
         if isinstance(value, dict):
             tagged["keys"] = [snapshot(key, f"{path} (a key)") for key in value]
             return {**tagged, "items": [snapshot(item, f"{path}[{key!r}]") for key, item in value.items()]}
-        # Sort the items of a set, because the order of a set differs between processes.
+        # Sort the items of a set, because their order differs between processes.
         items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
         tagged["items"] = [snapshot(item, f"{path}[{i}]") for i, item in enumerate(items)]
         return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
@@ -107,7 +107,7 @@ def snapshot(value: Any, path: str) -> Any:
         if isinstance(value, kind):
             return {TAG: tag, "data": snapshot(get(value), path)}
     if all(hasattr(value, name) for name in ("state_dict", "load_state_dict")) and not isinstance(value, type):
-        rest = None  # the attributes of a network that its ``state_dict`` omits
+        rest = None  # those attributes of a network that the network's ``state_dict`` omits
         if isinstance(value, torch.nn.Module) and not isinstance(value, torch.jit.ScriptModule):
             rest = {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)}
         data = snapshot(dict(value.state_dict()), path)
@@ -143,7 +143,7 @@ def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
 
 
 def _is_wiring(item: Any) -> bool:
-    """Return whether an attribute only refers to parameters, as attributes of recurrent networks do."""
+    """Return whether an attribute of a network only refers to parameters, as in recurrent networks."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
 
@@ -152,7 +152,7 @@ def _is_wiring(item: Any) -> bool:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two trees from ``snapshot`` are equal to the bit, including NaN."""
+    """Return whether two trees from ``snapshot`` are bit-identical, including NaN."""
     if type(a) is not type(b):
         return False
     if isinstance(a, torch.Tensor):
@@ -173,15 +173,15 @@ def same(a: Any, b: Any) -> bool:
 
 
 def bytes_of(value: torch.Tensor) -> torch.Tensor:
-    """Return the bytes of a tensor's elements in order, without a copy if the tensor is contiguous."""
+    """Return the bytes of a tensor's elements in order; a contiguous tensor is not copied."""
     flat = value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1)
-    if flat.stride(0) != 1:  # For torch, a row of one element is contiguous with any stride.
+    if flat.stride(0) != 1:  # Torch treats a row of one element as contiguous with any stride.
         flat = flat.clone(memory_format=torch.contiguous_format)
     return flat.view(torch.uint8)
 
 
 def on_device(tree: Any, device: torch.device) -> Any:
-    """Return mappings, lists, and tuples with all tensors moved to a device."""
+    """Return nested mappings, lists, and tuples with all tensors in them moved to a device."""
     if isinstance(tree, torch.Tensor):
         return tree.to(device)
     if isinstance(tree, Mapping):
@@ -192,7 +192,7 @@ def on_device(tree: Any, device: torch.device) -> Any:
 
 
 def cloned(tree: Any) -> Any:
-    """Return mappings, lists, and tuples with all tensors copied."""
+    """Return nested mappings, lists, and tuples with all tensors in them copied."""
     if isinstance(tree, torch.Tensor):
         return tree.detach().clone()
     if isinstance(tree, Mapping):
@@ -206,11 +206,11 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 
 
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
-    """Return a value from ``snapshot`` in a form that a checkpoint can store.
+    """Convert a result of ``snapshot`` to a value that a checkpoint can store.
 
-    ``before`` is the value at the time when its owner was made. Loading writes into a new object that was made from the
-    same config. So a reference that was bound or changed later raises Unsaveable, and so does a value that only its
-    owner can make.
+    ``before`` is the value that the attribute had when its owner was made. Loading a checkpoint writes into a new
+    object that was made from the same config. So Unsaveable is raised for a reference that was bound or changed after
+    its owner was made, and for a value that only its owner can make.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")
@@ -237,10 +237,10 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
 
 
 def restored_value(item: Any, present: Any = None) -> Any:
-    """Return the value that an item from ``snapshot`` describes, written into ``present`` if possible."""
+    """Return the value that an item from ``snapshot`` describes; write the value into ``present`` if possible."""
     if isinstance(item, torch.Tensor):
         alike = isinstance(present, torch.Tensor) and (present.shape, present.dtype) == (item.shape, item.dtype)
-        if not alike or (0 in present.stride() and present.numel() > 1):  # An expanded tensor cannot be written to.
+        if not alike or (0 in present.stride() and present.numel() > 1):  # Writing to an expanded tensor fails.
             return item.clone()
         with torch.inference_mode() if present.is_inference() else torch.no_grad():
             return present.copy_(item)

@@ -1,8 +1,8 @@
-"""Objects whose attributes are their state, and settings of terms that changed after the environment was built.
+"""Save objects whose attributes are their state, and settings of terms that changed after construction.
 
-A tensor attribute is always saved, unless the class names it in ``settings``. All other attributes, including tensors
-in ``settings``, are saved only if they differ from their initial values. So the values in a checkpoint do not undo a
-later change of the config.
+A tensor attribute is always saved, unless the class names the attribute in ``settings``. All other attributes,
+including tensors in ``settings``, are saved only if they differ from their initial values. So restoring a checkpoint
+does not undo a later change of the config.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # This text marks a tensor that is always saved.
+_TENSOR = "a tensor"  # This string stands for a tensor that is always saved.
 
 
 class _Base(NamedTuple):
@@ -25,24 +25,24 @@ class _Base(NamedTuple):
 
 
 class Stateful:
-    """Base class of objects that save and restore their attributes (see the module docstring).
+    """Base class of objects that save and restore their own attributes (see the module docstring).
 
-    ``settings`` names tensor attributes that come from the config, and that are saved only if they have changed.
+    ``settings`` names tensor attributes that come from the config; such an attribute is saved only if it has changed.
     """
 
     settings: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that later steps depend on."""
+        """Return all values of the object that later steps depend on."""
         return save(self)
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned, in an object that was made in the same way."""
+        """Restore a state that ``state_dict`` returned, in an object that was made in the same way."""
         restore(self, saved)
 
 
 def made(value: Any, key: str | None = None) -> None:
-    """Record the present attributes of an object as its initial state; ConfigError if an attribute cannot be saved."""
+    """Record an object's present attributes as its initial state; raise ConfigError if one cannot be saved."""
     try:
         if any(vars(kind).get("__slots__") for kind in type(value).__mro__):
             raise Unsaveable("__slots__", value)
@@ -54,7 +54,7 @@ def made(value: Any, key: str | None = None) -> None:
 
 
 def save(value: Any) -> dict[str, Any]:
-    """Return the state of an object as tensors and plain values; ConfigError if an attribute cannot be saved."""
+    """Return an object's state as tensors, numbers, and strings; raise ConfigError if an attribute cannot be saved."""
     if _BASE not in vars(value):
         made(value)
     base, key = vars(value)[_BASE]
@@ -72,7 +72,7 @@ def save(value: Any) -> dict[str, Any]:
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Restore the state that ``save`` returned. Attributes without a saved value get their initial values."""
+    """Restore an object's state that ``save`` returned. Attributes without a saved value get their initial values."""
     if _BASE not in vars(value):
         made(value)
     base, held = vars(value)[_BASE].values, attributes(value)
@@ -86,7 +86,7 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Copy the settings of ``made_anew`` to ``value``, but not the state. Tensors stay at their memory addresses."""
+    """Copy the settings of ``made_anew`` to ``value``, but not the state. Tensors keep their memory addresses."""
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
         vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
@@ -95,7 +95,7 @@ def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
 
 
 def attributes(value: Any) -> dict[str, Any]:
-    """Return an object's own attributes by name."""
+    """Return the instance attributes of an object by name."""
     return {name: item for name, item in vars(value).items() if name != _BASE}
 
 
@@ -104,7 +104,7 @@ def _settings(value: Any) -> tuple[str, ...]:
 
 
 def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
-    """Return the error for an object with state that cannot be saved."""
+    """Return the error for an object whose state cannot be saved."""
     why = "points back at itself" if isinstance(error, RecursionError) else str(error)
     message = f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ"
     expected = (
@@ -136,11 +136,11 @@ def stateful(value: Any, key: str) -> Any:
 
 
 class Settings:
-    """The settings of a term from its config. Settings that change later, for example by a curriculum, are state.
+    """The settings of a term from its config. Settings that change later, such as by a curriculum, are state.
 
-    A change is saved together with the setting from the config. It is restored only if the config still has the same
-    setting: a setting that was changed in the config has priority. ``groups`` are dictionaries of settings by name, and
-    ``skip`` names settings that save their own state.
+    A changed setting is saved together with its value from the config. It is restored only if the config still has the
+    same setting: a setting that was changed in the config has priority. ``groups`` are dictionaries of settings by
+    name, and ``skip`` names settings whose objects save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
@@ -152,10 +152,10 @@ class Settings:
             own = {g: {n: v for n, v in values.items() if n not in self._skip} for g, values in self._groups.items()}
             return {group: {name: snapshot(v, name) for name, v in values.items()} for group, values in own.items()}
         except Unsaveable as error:
-            raise ConfigError(f"a setting {error}, whose state cannot be saved", key=self._key) from error
+            raise ConfigError(f"a setting of the term {error}, whose state cannot be saved", key=self._key) from error
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the changed settings by group and name, each with the setting from the config."""
+        """Return the changed settings by group and name, each with its value from the config."""
         found: dict[str, Any] = {}
         for group, values in self._snapshots().items():
             for name, now in values.items():
@@ -170,7 +170,7 @@ class Settings:
         return found
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; all other settings get the value from the config."""
+        """Restore the settings that ``state_dict`` returned; all other settings get their value from the config."""
         for group, values in self._groups.items():
             changes, base = saved.get(group, {}), self._base[group]
             for name in list(values.keys() - base.keys() - changes.keys() - self._skip):

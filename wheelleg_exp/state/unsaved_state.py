@@ -1,9 +1,9 @@
 """Find and reject state that no checkpoint could restore.
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
-and classes, and values that the term writes to the scene, the managers, or the config. Module variables and closures
-are not checked. ``Memory`` finds tensors that share memory. A checkpoint saves and restores each attribute separately,
-so two attributes that share memory would not share it after a resume.
+and classes, and values that the term writes to the scene, the managers, or the config. Variables of modules and of
+closures are not checked. The class ``Memory`` finds tensors that share memory. A checkpoint saves and restores each
+attribute separately. So two attributes that shared memory before saving would have separate memory after a resume.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from wheelleg_exp.state.stateful import Stateful, attributes
 class Outside:
     """Detects changes that terms make outside their own attributes.
 
-    ``code`` is the function or class of each term by config key, and ``config`` the config of the terms. Terms may read
-    but not write the objects in ``owners``: they must not add attributes to them or to this package's objects below
-    them, and must not change their public numbers and texts. A class attribute or a default argument that is an
+    ``code`` has the function or class of each term by config key, and ``config`` is the config of the terms. Terms may
+    read but not write the objects in ``owners``: they must not add attributes to them or to this package's objects
+    below them, and must not change their public numbers and texts. A class attribute or a default argument that is an
     iterator raises ConfigError, because the position of an iterator cannot be read.
     """
 
@@ -38,7 +38,7 @@ class Outside:
         self._before = dict(self._seen())
 
     def require_unchanged(self) -> None:
-        """Raise ConfigError, with the name of the value, if a term has changed a value outside its own attributes."""
+        """Raise ConfigError, which names the value, if a term has changed a value outside its own attributes."""
         now = dict(self._seen())
         for place in {**self._before, **now}:
             was, item = self._before.get(place, NOTHING), now.get(place, NOTHING)
@@ -66,7 +66,7 @@ class Outside:
 
 
 def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the objects of this package in the public attributes of an object, unless they save themselves."""
+    """Yield the objects of this package in the public attributes of an object, except objects that save themselves."""
     for attribute, item in vars(owner).items():
         is_ours = type(item).__module__.partition(".")[0] == PACKAGE and hasattr(item, "__dict__")
         is_public = not attribute.startswith("_") and not _is_default(owner, attribute)
@@ -75,7 +75,7 @@ def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _is_default(value: Any, name: str) -> bool:
-    """Return whether an attribute overrides a plain class attribute, such as a default of a dataclass."""
+    """Return whether an instance attribute overrides a number or string of the class, such as a dataclass default."""
     return isinstance(getattr(type(value), name, NOTHING), PLAIN)
 
 
@@ -91,7 +91,7 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # Attributes that __init__ sets are saved with the object.
+                if name != "__init__":  # __init__ sets attributes, which are saved with the object.
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item
@@ -126,7 +126,7 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-# The limit of NumPy's exact check. Beyond this limit, overlapping ranges count as shared.
+# The work limit of NumPy's exact overlap check. Beyond this limit, overlapping address ranges count as shared.
 _MOST_WORK = 10_000
 
 
@@ -142,9 +142,9 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners``, which
-    save their attributes, may share memory with a tensor that ``others`` returns, if both shared memory from the start
-    and still do, because a write then reaches both tensors.
+    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners``, whose
+    attributes are saved, may share memory with a tensor that ``others`` returns. The condition is that the two tensors
+    shared memory from the start and still do, so that a write reaches both tensors.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
@@ -152,7 +152,7 @@ class Memory:
         self._shared = self._sharing()
 
     def require_apart(self) -> None:
-        """Raise ConfigError if two tensors share memory now but not at the start, or at the start but not now."""
+        """Raise ConfigError if two tensors have started or stopped sharing memory since the start."""
         now = self._sharing()
         for owner, name, other in sorted(now ^ self._shared):
             verb = "has come to share" if (owner, name, other) in now else "no longer shares"
@@ -161,7 +161,7 @@ class Memory:
     def _sharing(self) -> set[tuple[str, str, str]]:
         """Return all pairs that share memory: an owner, the name of its attribute, and the name of the other.
 
-        The places are sorted by their first address, so that only places with overlapping ranges are compared.
+        Tensors are sorted by their first address, so that only tensors with overlapping address ranges are compared.
         """
         places = [p for owner, value in self._owners.items() for p in _places(attributes(value), owner)]
         places += [_place("", name, tensor) for name, tensor in self._others().items() if tensor.numel()]
@@ -218,7 +218,7 @@ def _share(a: Any, b: Any) -> bool:
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return an array at the addresses of a tensor. The array serves address checks only: GPU memory cannot be read."""
+    """Return a NumPy array at a tensor's addresses. The array serves address checks only: GPU memory cannot be read."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 

@@ -159,6 +159,6 @@ def test_a_file_that_is_not_torchscript_is_rejected(made, tmp_path, content):
     (tmp_path / "networks" / "nets" / "hip.pt").write_bytes(content)
     config = env_config()
     config["robot"]["actuators"]["hips"] = MLP
-    with pytest.raises(ConfigError, match="not a TorchScript network") as caught:
+    with pytest.raises(ConfigError, match="as a TorchScript network") as caught:
         env_of(tmp_path / "rover.xml", config)
     assert "\n" not in caught.value.message

@@ -80,9 +80,9 @@ NOT_HEIGHTS = r"file: 'a.npy' contains .*rows and columns of finite numbers"
     ("kind", "file", "content", "words"),
     [
         ("HeightField", "a.npz", b"", r"'a.npz' is not a file of a ground.*ends in .npy or .png.*'.npy'"),
-        ("HeightField", "a.npy", b"no", r"file: 'a.npy' is not an array"),
-        ("HeightField", "a.png", b"no", r"file: 'a.png' is not an image"),
-        ("Mesh", "a.obj", b"v 0 0 0", r"file: 'a.obj' is not a mesh"),
+        ("HeightField", "a.npy", b"no", r"file: the file 'a.npy' is not a NumPy array"),
+        ("HeightField", "a.png", b"no", r"file: the file 'a.png' is not a readable image"),
+        ("Mesh", "a.obj", b"v 0 0 0", r"file: the file 'a.obj' is not a readable mesh"),
         ("HeightField", "../a.npy", None, "a file's path below a folder"),
         *(("HeightField", "a.npy", np.zeros(shape), NOT_HEIGHTS) for shape in (3, (1, 5))),
         ("HeightField", "a.npy", np.full((2, 2), np.nan), NOT_HEIGHTS),

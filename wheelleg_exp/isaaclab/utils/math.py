@@ -1,7 +1,8 @@
-"""Rotations, frames, cameras, and draws under the names of ``isaaclab.utils.math``.
+"""Functions for rotations, frames, cameras, and random numbers, with the names of ``isaaclab.utils.math``.
 
-Quaternions are (w, x, y, z), angles are radians. Tensors can have any leading dimensions, which broadcast. Draws use
-torch's global generator. While a user-defined term runs, torch's global generator is the random stream of this term.
+Quaternions are (w, x, y, z), angles are radians. Tensors can have any leading dimensions, which are broadcast. Draws
+use torch's global generator. While a user-defined term runs, torch's global generator is the random stream of this
+term.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ SMALL = 1e-6  # rad; angles below this value use sin(x) = x
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Return cross products of vectors whose leading dimensions broadcast."""
+    """Return cross products of vectors, whose leading dimensions are broadcast."""
     return torch.linalg.cross(*torch.broadcast_tensors(a, b))
 
 
@@ -46,7 +47,7 @@ def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
 
 
 def quat_unique(q: torch.Tensor) -> torch.Tensor:
-    """Return quaternions with w >= 0 of the same rotations."""
+    """Return quaternions with w >= 0 for the same rotations."""
     return torch.where(q[..., :1] < 0.0, -q, q)
 
 
@@ -58,7 +59,7 @@ def quat_apply(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
 
 
 def quat_apply_inverse(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
-    """Rotate vectors by the inverse rotations."""
+    """Rotate vectors by the inverse rotations of quaternions."""
     return quat_apply(quat_conjugate(quat), vec)
 
 
@@ -67,7 +68,7 @@ quat_rotate_inverse = quat_apply_inverse
 
 
 def yaw_quat(quat: torch.Tensor) -> torch.Tensor:
-    """Return the yaw of rotations as rotations about z."""
+    """Return only the yaw rotation (about z) of each rotation, as quaternions."""
     w, x, y, z = quat.unbind(dim=-1)
     half = torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)) / 2.0
     zero = torch.zeros_like(half)
@@ -75,22 +76,22 @@ def yaw_quat(quat: torch.Tensor) -> torch.Tensor:
 
 
 def quat_apply_yaw(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
-    """Rotate vectors only by the yaw of rotations."""
+    """Rotate vectors only by the yaw angles of rotations."""
     return quat_apply(yaw_quat(quat), vec)
 
 
 def quat_from_angle_axis(angle: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
-    """Return rotations by angles (...) about axes (..., 3) of any length."""
+    """Return the quaternions of rotations by angles (...) about axes (..., 3) of any length."""
     half = angle.unsqueeze(-1) / 2.0
     return normalize(torch.cat((half.cos(), normalize(axis) * half.sin()), dim=-1))
 
 
 def axis_angle_from_quat(quat: torch.Tensor, eps: float = SMALL) -> torch.Tensor:
-    """Return the rotation vectors (..., 3) of length at most pi."""
+    """Return the rotation vectors (..., 3) of quaternions; their length is at most pi."""
     quat = quat_unique(quat)
     sine = torch.linalg.vector_norm(quat[..., 1:], dim=-1, keepdim=True)
     angle = 2.0 * torch.atan2(sine, quat[..., :1])
-    # sin(a / 2) / a is 1/2 - a^2 / 48 + ...
+    # for small angles, sin(a / 2) / a = 1/2 - a^2 / 48 + ...
     per_angle = torch.where(angle > eps, sine / angle.clamp(min=eps), 0.5 - angle.square() / 48.0)
     return quat[..., 1:] / per_angle
 
@@ -101,7 +102,7 @@ def quat_box_minus(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
 
 
 def quat_box_plus(q: torch.Tensor, delta: torch.Tensor, eps: float = SMALL) -> torch.Tensor:
-    """Apply rotation vectors (..., 3), world axes, to rotations; the result has w >= 0."""
+    """Apply rotation vectors (..., 3), world axes, to quaternions; the resulting quaternions have w >= 0."""
     angle = torch.linalg.vector_norm(delta, dim=-1, keepdim=True).clamp(min=eps)
     half = angle / 2.0
     turn = torch.cat((half.cos(), delta / angle * half.sin()), dim=-1)
@@ -109,16 +110,16 @@ def quat_box_plus(q: torch.Tensor, delta: torch.Tensor, eps: float = SMALL) -> t
 
 
 def quat_error_magnitude(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
-    """Return the angle between rotations, (...)."""
+    """Return the angles (...) between pairs of rotations."""
     return torch.linalg.vector_norm(quat_box_minus(q1, q2), dim=-1)
 
 
 def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
-    """Interpolate from ``q1`` (tau 0) to ``q2`` (tau 1), (4,) each, along the shorter arc (Shoemake 1985)."""
+    """Interpolate between the quaternions ``q1`` (tau 0) and ``q2`` (tau 1) along the shorter arc (Shoemake 1985)."""
     cosine = (q1 * q2).sum()
     q2, cosine = torch.where(cosine < 0.0, -q2, q2), cosine.abs().clamp(max=1.0)
     angle = torch.acos(cosine)
-    line = normalize(torch.lerp(q1, q2, tau))  # numerically stable for small angles
+    line = normalize(torch.lerp(q1, q2, tau))  # this formula is accurate for small angles
     arc = (torch.sin((1.0 - tau) * angle) * q1 + torch.sin(tau * angle) * q2) / torch.sin(angle).clamp(min=1e-12)
     return torch.where(angle < 1e-4, line, arc)
 
@@ -132,14 +133,14 @@ def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), (..., 4), for angles (...)."""
+    """Return the quaternions (..., 4) of Rz(yaw) Ry(pitch) Rx(roll) for angles (...)."""
     return rotation.quat_from_euler_xyz(*(angle.reshape(-1) for angle in (roll, pitch, yaw))).view(*roll.shape, 4)
 
 
 def euler_xyz_from_quat(
     quat: torch.Tensor, wrap_to_2pi: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return roll, pitch and yaw (...), roll and yaw in [-pi, pi], or all in [0, 2 pi)."""
+    """Return roll, pitch and yaw (...); roll and yaw are in [-pi, pi], or all three are in [0, 2 pi)."""
     w, x, y, z = quat.unbind(dim=-1)
     roll = torch.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = torch.asin((2.0 * (w * y - z * x)).clamp(-1.0, 1.0))
@@ -150,18 +151,18 @@ def euler_xyz_from_quat(
 
 
 def matrix_from_quat(quaternions: torch.Tensor) -> torch.Tensor:
-    """Return rotation matrices (..., 3, 3) of quaternions of any length but 0."""
+    """Return the rotation matrices (..., 3, 3) of quaternions, which can have any length except 0."""
     return rotation.quat_to_matrix(normalize(quaternions).reshape(-1, 4)).view(*quaternions.shape[:-1], 3, 3)
 
 
 def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
-    """Return quaternions (..., 4) of rotation matrices, by the largest component (Shepperd 1978)."""
+    """Return the quaternions (..., 4) of rotation matrices; the method is Shepperd's (1978)."""
     m = matrix
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    # The matrix 4 q q^T: each row is the quaternion times four times one of its components. Taking the row of the
-    # largest component avoids a division by a small number.
+    # Each row of the matrix 4 q q^T is the quaternion times a number, four times one component.
+    # Taking the row of the largest component avoids a division by a small number.
     w_row, x_row = (1.0 + xx + yy + zz, x, y, z), (x, 1.0 + xx - yy - zz, xy, xz)
     y_row, z_row = (y, xy, 1.0 - xx + yy - zz, yz), (z, xz, yz, 1.0 - xx - yy + zz)
     rows = torch.stack([torch.stack(row, dim=-1) for row in (w_row, x_row, y_row, z_row)], dim=-2)
@@ -171,7 +172,7 @@ def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
 
 
 def matrix_from_euler(euler_angles: torch.Tensor, convention: str) -> torch.Tensor:
-    """Return the product (..., 3, 3) of rotations by three angles (..., 3) about axes such as ``"XYZ"``."""
+    """Return rotation matrices (..., 3, 3) from three Euler angles (..., 3) about axes such as ``"XYZ"``."""
     turns = []
     for angle, axis in zip(euler_angles.unbind(dim=-1), convention, strict=True):
         unit = torch.zeros(3, dtype=angle.dtype, device=angle.device)
@@ -181,7 +182,7 @@ def matrix_from_euler(euler_angles: torch.Tensor, convention: str) -> torch.Tens
 
 
 def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
-    """Return the matrices (n, 3, 3) of cross products with vectors (n, 3) or (3,)."""
+    """Return the skew-symmetric matrices (n, 3, 3) of vectors (n, 3) or (3,)."""
     vec = vec.reshape(-1, 3)
     return cross(vec.unsqueeze(-2), torch.eye(3, dtype=vec.dtype, device=vec.device)).mT
 
@@ -189,14 +190,14 @@ def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
 def combine_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t12: torch.Tensor | None = None, q12: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pose of frame 2 in frame 0 from the poses of 1 in 0 and 2 in 1."""
+    """Return the pose of frame 2 in frame 0, given the poses of frame 1 in frame 0 and of frame 2 in frame 1."""
     return t01 if t12 is None else t01 + quat_apply(q01, t12), q01 if q12 is None else quat_mul(q01, q12)
 
 
 def subtract_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t02: torch.Tensor | None = None, q02: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pose of frame 2 in frame 1 from the poses of 1 in 0 and 2 in 0."""
+    """Return the pose of frame 2 in frame 1, given the poses of frame 1 and of frame 2 in frame 0."""
     back = quat_inv(q01)
     return quat_apply(back, -t01 if t02 is None else t02 - t01), back if q02 is None else quat_mul(back, q02)
 
@@ -204,7 +205,7 @@ def subtract_frame_transforms(
 def rigid_body_twist_transform(
     v0: torch.Tensor, w0: torch.Tensor, t01: torch.Tensor, q01: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return linear and angular velocity of a body at another of its frames, in the axes of that frame."""
+    """Convert a body's linear and angular velocity from one of its frames to another, including the axes."""
     return quat_apply_inverse(q01, v0 + cross(w0, t01)), quat_apply_inverse(q01, w0)
 
 
@@ -215,7 +216,7 @@ def compute_pose_error(
     q02: torch.Tensor,
     rot_error_type: Literal["quat", "axis_angle"] = "axis_angle",
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return position and rotation from frame 1 to frame 2; the rotation is a quaternion or a rotation vector."""
+    """Return the position and the rotation from frame 1 to frame 2, as a quaternion or a rotation vector."""
     if rot_error_type not in ("quat", "axis_angle"):
         raise ValueError(f"rot_error_type is {rot_error_type!r}, expected 'quat' or 'axis_angle'")
     turn = quat_mul(q02, quat_inv(q01))
@@ -233,7 +234,7 @@ def apply_delta_pose(
 
 
 def is_identity_pose(pos: torch.Tensor, rot: torch.Tensor) -> bool:
-    """Return whether all poses are the identity."""
+    """Return whether all given poses are the identity pose."""
     identity = rot.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(rot)
     return torch.allclose(pos, torch.zeros_like(pos)) and torch.allclose(rot, identity)
 
@@ -241,7 +242,7 @@ def is_identity_pose(pos: torch.Tensor, rot: torch.Tensor) -> bool:
 def transform_points(
     points: torch.Tensor, pos: torch.Tensor | None = None, quat: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Rotate, then translate points (P, 3) or (N, P, 3) by poses (3,), (4,) or (N, 3), (N, 4)."""
+    """Rotate, then translate points (P, 3) or (N, P, 3) by the quaternions and positions of poses."""
     batch = points.unsqueeze(0) if points.dim() == 2 else points
     if quat is not None:
         batch = quat_apply(quat.reshape(-1, 1, 4), batch)
@@ -251,19 +252,19 @@ def transform_points(
 
 
 def make_pose(pos: torch.Tensor, rot: torch.Tensor) -> torch.Tensor:
-    """Return the matrices (..., 4, 4) of positions and rotation matrices."""
+    """Return the homogeneous matrices (..., 4, 4) of positions and rotation matrices."""
     pose = torch.zeros(*pos.shape[:-1], 4, 4, dtype=pos.dtype, device=pos.device)
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = rot, pos, 1.0
     return pose
 
 
 def unmake_pose(pose: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return positions and rotation matrices of matrices (..., 4, 4)."""
+    """Return the positions and rotation matrices of homogeneous matrices (..., 4, 4)."""
     return pose[..., :3, 3], pose[..., :3, :3]
 
 
 def pose_inv(pose: torch.Tensor) -> torch.Tensor:
-    """Return the inverse matrices (..., 4, 4)."""
+    """Return the inverses of homogeneous matrices (..., 4, 4)."""
     position, turn = unmake_pose(pose)
     return make_pose(-(turn.mT @ position.unsqueeze(-1)).squeeze(-1), turn.mT)
 
@@ -280,7 +281,7 @@ def create_rotation_matrix_from_view(
 ) -> torch.Tensor:
     """Return the rotations (N, 3, 3) of cameras at (N, 3) that look at targets (N, 3), in the convention ``opengl``.
 
-    For a camera that looks straight up or down, the image's right is the world's x axis.
+    For a camera that looks straight up or down, the right side of the image points along the world's x axis.
     """
     up = torch.tensor([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0], device=device).expand_as(eyes)
     back = torch.nn.functional.normalize(eyes - targets, dim=1)
@@ -294,7 +295,8 @@ def create_rotation_matrix_from_view(
 def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
     """Convert distances along pixels' rays to distances along the camera's axis, m.
 
-    ``depth`` is (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1); ``intrinsics``, px, is (3, 3) or (N, 3, 3).
+    ``depth`` has the shape (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1); ``intrinsics``, in pixels, (3, 3) or (N, 3,
+    3).
     """
     pictures = _pictures(depth)
     matrices = intrinsics.reshape(-1, 3, 3)
@@ -305,10 +307,10 @@ def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tenso
 
 
 def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: bool = True) -> torch.Tensor:
-    """Return the points (P, 3) or (N, P, 3) of pixels, m, axes x right, y down, z forward; column by column.
+    """Return the points (P, 3) or (N, P, 3) of pixels, m, column by column, in axes x right, y down, z forward.
 
-    Shapes are as in ``orthogonalize_perspective_depth``. ``is_ortho`` means distances along the camera's axis, m, not
-    along the rays of the pixels.
+    Shapes are as in ``orthogonalize_perspective_depth``. ``is_ortho`` means that distances are along the camera's axis,
+    not along the rays of the pixels.
     """
     pictures = _pictures(depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics))
     v, u = _pixels(pictures)
@@ -320,7 +322,7 @@ def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: boo
 
 
 def project_points(points: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
-    """Return column and row, px, and distance along the axis, m, of points (P, 3) or (N, P, 3), m."""
+    """Return column and row, px, and distance along the camera's axis, m, of points (P, 3) or (N, P, 3), m."""
     batch = points.unsqueeze(0) if points.dim() == 2 else points
     seen = torch.einsum("nij,npj->npi", intrinsics.reshape(-1, 3, 3), batch)
     found = torch.cat((seen[..., :2] / seen[..., 2:], batch[..., 2:]), dim=-1)
@@ -346,37 +348,37 @@ def _shape(size: Size) -> tuple[int, ...]:
 
 
 def sample_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return uniform draws on [lower, upper)."""
+    """Return uniform random numbers on [lower, upper)."""
     return torch.rand(_shape(size), device=device) * (upper - lower) + lower
 
 
 def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return draws on [lower, upper) whose logarithm is uniform."""
+    """Return random numbers on [lower, upper) whose logarithm is uniform."""
     low, high = (torch.as_tensor(bound, dtype=torch.float32, device=device).log() for bound in (lower, upper))
     return sample_uniform(low, high, size, device).exp()
 
 
 def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return Gaussian draws; if the mean is a tensor, the result has the mean's shape."""
+    """Return Gaussian random numbers; if the mean is a tensor, the result has the shape of the mean."""
     shape = tuple(mean.shape) if isinstance(mean, torch.Tensor) else _shape(size)
     return torch.randn(shape, device=device) * std + mean
 
 
 def sample_triangle(lower: float, upper: float, size: Size, device: Any) -> torch.Tensor:
-    """Return draws on [lower, upper] whose density is highest at the bounds, as Isaac Lab's function does."""
+    """Return random numbers on [lower, upper] whose density is highest at the bounds, as in Isaac Lab."""
     u = 2.0 * torch.rand(_shape(size), device=device) - 1.0
     return lower + (upper - lower) * (1.0 + u.sign() * u.abs().sqrt()) / 2.0
 
 
 def sample_cylinder(radius: float, h_range: tuple[float, float], size: Size, device: Any) -> torch.Tensor:
-    """Return points (..., 3) uniform on the side of a cylinder about z."""
+    """Return random points (..., 3), uniform on the lateral surface of a cylinder about z."""
     angle = (2.0 * torch.rand(_shape(size), device=device) - 1.0) * torch.pi
     height = sample_uniform(h_range[0], h_range[1], size, device)
     return torch.stack((radius * angle.cos(), radius * angle.sin(), height), dim=-1)
 
 
 def default_orientation(num: int, device: Any) -> torch.Tensor:
-    """Return identity quaternions (1, 0, 0, 0), (num, 4)."""
+    """Return a tensor (num, 4) of identity quaternions (1, 0, 0, 0)."""
     return torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(num, 1)
 
 
@@ -386,18 +388,18 @@ def random_orientation(num: int, device: Any) -> torch.Tensor:
 
 
 def random_yaw_orientation(num: int, device: Any) -> torch.Tensor:
-    """Return rotations about z by uniform angles, (num, 4)."""
+    """Return quaternions (num, 4) of rotations about z by uniform random angles."""
     yaw = 2.0 * torch.pi * torch.rand(num, device=device)
     return rotation.quat_from_euler_xyz(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw)
 
 
 def scale_transform(x: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor) -> torch.Tensor:
-    """Map [lower, upper] to [-1, 1]."""
+    """Map values linearly from [lower, upper] to [-1, 1]."""
     return (2.0 * x - lower - upper) / (upper - lower)
 
 
 def unscale_transform(x: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor) -> torch.Tensor:
-    """Map [-1, 1] to [lower, upper]."""
+    """Map values linearly from [-1, 1] to [lower, upper]."""
     return ((upper - lower) * x + lower + upper) / 2.0
 
 
@@ -407,5 +409,5 @@ def saturate(x: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor) -> torch
 
 
 def copysign(mag: float, other: torch.Tensor) -> torch.Tensor:
-    """Return ``|mag|`` with the signs of a tensor."""
+    """Return the magnitude ``|mag|`` with the signs of another tensor."""
     return torch.copysign(torch.full_like(other, abs(mag)), other)

@@ -1,4 +1,4 @@
-"""The matching of names of ``isaaclab.utils.string``."""
+"""Functions of ``isaaclab.utils.string`` that match names with regular expressions."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from wheelleg_exp.sim.names import match_names
 def resolve_matching_names(
     keys: str | Sequence[str], list_of_strings: Sequence[str], preserve_order: bool = False
 ) -> tuple[list[int], list[str]]:
-    """Return indices and names that match expressions completely; ConfigError if an expression matches no name."""
+    """Return indices and names that match completely; raise ConfigError if an expression matches no name."""
     return match_names(keys, list_of_strings, what="name", preserve_order=preserve_order)
 
 
 def resolve_matching_names_values(
     data: Mapping[str, Any], list_of_strings: Sequence[str], preserve_order: bool = False
 ) -> tuple[list[int], list[str], list[Any]]:
-    """Return indices, names and values of matching names; ConfigError if an expression matches no name."""
+    """Return indices, names and values of matching names; raise ConfigError if an expression matches no name."""
     indices, names = match_names(list(data), list_of_strings, what="name", preserve_order=preserve_order)
     owners = {name: value for key, value in data.items() for name in match_names(key, names, what="name")[1]}
     return indices, names, [owners[name] for name in names]

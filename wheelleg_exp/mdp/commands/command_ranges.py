@@ -1,4 +1,4 @@
-"""Commands that are drawn from one range for each axis, and a command without components."""
+"""Command terms that draw each axis from a range, and a command without components."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wheelleg_exp.managers import CommandTerm, Env, bounds
 
 
 class _Ranges:
-    """The ranges of a command as attributes: Isaac Lab's terms read and set ``command.cfg.ranges.lin_vel_x``."""
+    """The ranges of a command as attributes. Terms of Isaac Lab use ``command.cfg.ranges.lin_vel_x``."""
 
     def __init__(self, ranges: dict[str, Any]) -> None:
         vars(self)["_ranges"] = ranges
@@ -27,7 +27,7 @@ class _Ranges:
 
 @dataclass(frozen=True)
 class CommandSettings:
-    """The settings in ``command.cfg`` that terms written for Isaac Lab read.
+    """The settings of a command that terms written for Isaac Lab read in ``command.cfg``.
 
     Attributes:
         ranges: [low, high] by axis as attributes; a range that is set applies from the next draw.
@@ -39,7 +39,7 @@ class CommandSettings:
 
 
 class RangedCommand(CommandTerm):
-    """A command whose components are drawn from one range for each axis.
+    """A command with one range for each axis, from which the command's components are drawn.
 
     Attributes:
         ranges: [low, high] by axis; a range that is set applies from the next draw.
@@ -53,15 +53,15 @@ class RangedCommand(CommandTerm):
         return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
-        """Set the ranges of a command by axis. The command is 0 on an axis without a range."""
+        """Set the ranges of a command by axis. On an axis without a range, the command is 0."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # code outside of inference mode writes to these bounds later
-            self._bounds = self._present()  # stored in a tuple, because tensor attributes are saved as state
+        with torch.inference_mode(False):  # code outside of inference mode writes to the bounds
+            self._bounds = self._present()  # a tuple, because tensor attributes would be saved as state
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the lower and upper bounds (k,) of the command's axes, in order."""
+        """Return the lower and the upper bounds (k,) of all axes of the command, in the order of the axes."""
         self.read_settings()
         return self._bounds
 

@@ -27,12 +27,13 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformPose2dCommand(RangedCommand):
     """A position near the environment's origin and a heading, in the base's yaw axes: (x, y, z) in m, rad.
 
-    The height of the commanded position is that of the robot's default state. The first ``compute`` after a draw
+    The commanded position has the height of the robot's default state. The first call of ``compute`` after a draw
     converts the command to the base's axes. The metrics are the last errors: distance in the plane, m, and heading,
     rad.
 
     Args:
-        ranges: ``pos_x`` and ``pos_y`` relative to the environment's origin (m), and ``heading`` in the world (rad).
+        ranges: ``pos_x`` and ``pos_y`` are relative to the environment's origin, m, and ``heading`` is in world axes,
+            rad.
         resampling_time_range: shortest and longest time between two draws, s.
         simple_heading: use the direction to the position, or its opposite, whichever is closer to the present heading;
             else headings are drawn.
@@ -66,7 +67,7 @@ class UniformPose2dCommand(RangedCommand):
 
     @property
     def pos_command_b(self) -> torch.Tensor:
-        """Vector from the base to the commanded position in the base's yaw axes, m, (N, 3)."""
+        """Vector from the base to the commanded position, m, (N, 3), in axes that turn only with the base's yaw."""
         return self._command[:, :3]
 
     @property
@@ -99,7 +100,7 @@ class UniformPose2dCommand(RangedCommand):
         return places
 
     def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """Return the yaw, rad, (n,), towards the commanded position or away from the position, whichever is closer."""
+        """Return the yaw, rad, (n,), towards or away from the commanded position, whichever needs less turning."""
         data = self.robot.data
         way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
         forth = torch.atan2(way[:, 1], way[:, 0])
@@ -109,7 +110,7 @@ class UniformPose2dCommand(RangedCommand):
 
 
 class TerrainBasedPose2dCommand(UniformPose2dCommand):
-    """A ``UniformPose2dCommand`` whose position is one of the flat patches ``target`` of the environment's tile.
+    """A ``UniformPose2dCommand`` whose position is a random flat patch (``target``) of the environment's terrain tile.
 
     Args:
         ranges: ``heading`` in the world (rad).
@@ -129,7 +130,9 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
         if "target" not in patches:
             expected = "flat patches 'target' in env.scene.terrain"
             expected += f", which has {', '.join(patches)}" if patches else ""
-            raise ConfigError("the ground has no flat patches 'target' for commanded positions", expected=expected)
+            raise ConfigError(
+                "the ground has no flat patches named 'target', from which positions are drawn", expected=expected
+            )
         self._patches = (patches["target"],)
 
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
@@ -147,7 +150,8 @@ class UniformPoseCommand(RangedCommand):
 
     Args:
         body_name: expression of the one body.
-        ranges: ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), R = Rz(yaw) Ry(pitch) Rx(roll).
+        ranges: The ranges are ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), with R = Rz(yaw)
+            Ry(pitch) Rx(roll).
         resampling_time_range: shortest and longest time between two draws, s.
         make_quat_unique: choose the quaternion whose w is not negative.
         asset_name: the member of the scene that has the body.
@@ -182,14 +186,14 @@ class UniformPoseCommand(RangedCommand):
         return self.pose_command_b
 
     def errors(self) -> torch.Tensor:
-        """Return the distance, m, and the angle, rad, between the body and the commanded pose, (2, N)."""
+        """Return the distance, m, and the angle, rad, between the body's pose and the commanded pose, (2, N)."""
         data, command = self.robot.data, self.pose_command_b
         place = data.root_pos_w + rotation.rotate(rotation.quat_to_matrix(data.root_quat_w), command[:, :3])
         distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
-        # The dot product of two unit quaternions is cos(angle / 2). The sine makes the result accurate for small
-        # angles, where the cosine is flat.
+        # The dot product of two unit quaternions is cos(angle / 2).
+        # Use the sine too, because the cosine hardly changes with the angle at small angles.
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
@@ -212,12 +216,13 @@ def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_height_is_given)
 class UniformBasePoseCommand(RangedCommand):
-    """Height of the base above the ground, m, and its roll and pitch, rad, uniform in their ranges.
+    """Commands the base's height above the ground, m, roll, and pitch, rad, which are uniform in their ranges.
 
     ``measured`` returns the current height, roll and pitch, which rewards can compare with the command.
 
     Args:
-        ranges: ``height`` of the root link above the ground (m), ``roll`` and ``pitch`` (rad, 0 if missing).
+        ranges: ``height`` is the height of the root link above the ground, m; ``roll`` and ``pitch``, rad, are 0 if
+            missing.
         resampling_time_range: shortest and longest time between two draws, s.
         asset_name: the member of the scene that is commanded.
     """
@@ -241,7 +246,7 @@ class UniformBasePoseCommand(RangedCommand):
         return self._command
 
     def measured(self) -> torch.Tensor:
-        """Return the current height, m, roll and pitch, rad, of the base, (N, 3)."""
+        """Return the base's current height above the ground, m, roll, and pitch, rad, (N, 3)."""
         data = self.robot.data
         return torch.stack((height_over_ground(self._env, data.root_pos_w), *roll_pitch(data)), dim=1)
 

@@ -29,12 +29,13 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
-    The command of standing environments is zero. With ``heading_command`` some environments follow a target heading
-    with ``w_z = clip(k * wrap(target - heading))``. Standing and heading are applied from the first ``compute`` after a
-    draw, so the observation right after ``reset`` contains the drawn values, as in Isaac Lab.
+    In standing environments, the command is zero. With ``heading_command``, some environments turn towards a target
+    heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. The first call of ``compute`` after a draw
+    applies standing and heading. So the observation right after ``reset`` contains the drawn values, as in Isaac Lab.
 
     Args:
-        ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
+        ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
+            null).
         resampling_time_range: shortest and longest time between two draws, s.
         rel_standing_envs: share of draws that stand still.
         rel_heading_envs: share of draws that follow a heading.
@@ -81,11 +82,11 @@ class UniformVelocityCommand(RangedCommand):
 
     @property
     def asked(self) -> torch.Tensor:
-        """The drawn velocity (N, 3), which is the command unless a subclass limits the acceleration."""
+        """The drawn velocity (N, 3), which equals the command unless a subclass limits the command's acceleration."""
         return self._command
 
     def errors(self) -> torch.Tensor:
-        """Return |v_xy error| in m/s and |w_z error| in rad/s, (2, N)."""
+        """Return the norm of the planar velocity error, m/s, and the absolute yaw rate error, rad/s, (2, N)."""
         data = self.robot.data
         xy = torch.linalg.vector_norm(self._command[:, :2] - data.root_lin_vel_b[:, :2], dim=1)
         yaw = (self._command[:, 2] - data.root_ang_vel_b[:, 2]).abs()
@@ -129,11 +130,12 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    Components that are drawn as zero become zero at the first ``compute`` after the draw. Target headings are not
-    drawn.
+    Components that are drawn as zero become zero at the first call of ``compute`` after the draw. Target headings are
+    not drawn.
 
     Args:
-        ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` of v_x, v_y (m/s) and w_z (rad/s).
+        ranges: The distribution is given by ``mean_vel``, ``std_vel`` and ``zero_prob``, each for v_x, v_y (m/s) and
+            w_z (rad/s).
     """
 
     def __init__(
@@ -146,7 +148,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # Store the moments in a tuple, because tensor attributes are saved as state.
+        # Store the moments in a tuple, because tensor attributes would be saved as state.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
@@ -163,19 +165,20 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
 
-_ROLLS = 0.5  # a wheel rolls forwards or backwards if |wheel axis · base y axis| is at least this value
+_ROLLS = 0.5  # a wheel rolls along x if |wheel axis · base y axis| is at least this value
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):
     """A uniform velocity command that also integrates the robot's velocity error. Not in Isaac Lab.
 
-    A policy that observes only velocities drifts at zero command because of measurement errors. A policy that observes
-    the integrated error can hold its position, like an integral controller. The error is computed from quantities that
-    a robot can measure: the rates of its wheels, assuming that they roll, and the yaw rate of its gyroscope.
+    A policy that observes only velocities drifts at a zero command, because velocity measurements have errors. A policy
+    that observes the integrated error can hold its position, like an integral controller. The error is computed from
+    quantities that a robot can measure: the rates of its wheels, assuming that they roll, and the yaw rate of its
+    gyroscope.
 
-    A robot on two wheels must roll back before it can drive off, and falls if the command jumps to a high speed. With
-    ``max_lin_acceleration`` and ``max_ang_acceleration`` the command approaches the drawn target (``asked``) at a
-    limited rate, and starts from zero at a reset.
+    A robot on two wheels must first roll back before it can drive off, and it falls if the command jumps to a high
+    speed. With ``max_lin_acceleration`` and ``max_ang_acceleration``, the command starts from zero at a reset and
+    approaches the drawn target (``asked``) at a limited rate.
 
     Args:
         wheel_cfg: joints of the wheels. The forward direction of each wheel is derived from the wheel's axis in the
@@ -221,7 +224,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # Store these constants in tuples, because tensor attributes are saved as state.
+        # Store these acceleration limits in tuples, because tensor attributes would be saved as state.
         self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
@@ -252,11 +255,11 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
 
 def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
-    """Return for each wheel 1 if a positive joint velocity rolls the wheel along the base's x axis, otherwise -1.
+    """Return 1 for each wheel that a positive joint velocity rolls along the base's x axis, otherwise -1.
 
     ``joint_ids`` are the indices of the wheels in ``robot.joint_names``. The wheel axes are evaluated in the robot's
-    default pose. A wheel that turns about an axis a rolls along the cross product of a and up, so the sign is that of
-    the component of a along the base's y axis.
+    default pose. A wheel that turns about an axis a rolls along the cross product of a and the vertical. So the sign of
+    the rolling direction is the sign of the component of a along the base's y axis.
     """
     data = mujoco.MjData(model)
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):

@@ -1,6 +1,7 @@
 """Event terms.
 
-The names and behaviour of these events are Isaac Lab's. An event with a misleading name has a second, explicit name.
+The event terms have the names and the behaviour of Isaac Lab's event terms. An event term with a misleading name also
+has a second, explicit name.
 
 | module | what it changes |
 |---|---|
@@ -38,7 +39,7 @@ from wheelleg_exp.mdp.events.resets import (
     reset_scene_to_default,
 )
 
-# Terms of Isaac Lab that have no counterpart, and why.
+# The event terms of Isaac Lab without a counterpart, with the reasons.
 ABSENT = {
     "randomize_rigid_body_scale": "Isaac Lab scales no articulation, and the robot is one",
     "randomize_rigid_body_collider_offsets": "MuJoCo's shapes have a margin and a gap instead, which an asset defines",

@@ -24,9 +24,9 @@ def set_permanent_body_wrench(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Draw a force (N) and a torque (N·m) that act on each body's CoM in link axes until the next reset.
+    """Draw a force (N) and a torque (N·m) that act on each body's centre of mass, in link axes, until the next reset.
 
-    One range applies to all three axes. Isaac Lab's name is ``apply_external_force_torque``.
+    One range of forces or torques applies to all three axes. Isaac Lab's name is ``apply_external_force_torque``.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
@@ -48,12 +48,12 @@ apply_external_force_torque = set_permanent_body_wrench
 
 
 class push_by_adding_velocity(TermBase):
-    """Add a uniform random velocity to the root's CoM velocity, in the axes of ``frame``.
+    """Add a uniform random velocity to the velocity of the root's centre of mass, in the axes of ``frame``.
 
     Isaac Lab: ``push_by_setting_velocity``.
 
     Args:
-        velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
+        velocity_range: The ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
         frame: ``world``, as in Isaac Lab; or ``yaw``, level axes that turn with the robot: x forwards, y to the left.
     """
 
@@ -91,7 +91,7 @@ push_by_setting_velocity = push_by_adding_velocity
 
 
 class set_root_velocity(push_by_adding_velocity):
-    """Set the root's CoM velocity to a uniform random velocity, in the axes of ``frame``."""
+    """Set the velocity of the root's centre of mass to a uniform random velocity, in the axes of ``frame``."""
 
     adds = False
 
@@ -99,9 +99,9 @@ class set_root_velocity(push_by_adding_velocity):
 class apply_body_impulse(TermBase):
     """Push bodies at random times with a constant force (N) and torque (N·m). The event needs the mode ``step``.
 
-    Force and torque act on each body's CoM in link axes, and add to the wrenches of other events. One range applies to
-    all three axes, and each body has its own draw. An episode starts with a pause before the first push. A reset ends a
-    push.
+    The force and the torque act on each body's centre of mass, in link axes, in addition to the wrenches of other
+    events. One range of forces or torques applies to all three axes, and each body gets its own random draw. Each
+    episode starts with a pause before the first push. A reset ends a push.
 
     Args:
         force_range: [low, high], N.
@@ -132,7 +132,7 @@ class apply_body_impulse(TermBase):
         self._time_left = torch.zeros(env.num_envs, device=env.device)
         self._is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._push = torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device)
-        self._robot.add_wrench(self._bodies, self._push)  # register the pushed bodies before a CUDA graph is captured
+        self._robot.add_wrench(self._bodies, self._push)  # register the pushed bodies before CUDA graphs are captured
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     def _draw(self, count: int) -> torch.Tensor:
@@ -140,7 +140,7 @@ class apply_body_impulse(TermBase):
         return self._lows + self._spans * u
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start the episodes of ``env_ids`` with a pause. The robot's reset has already cleared the wrenches."""
+        """Start the episodes of ``env_ids`` with a pause. The robot's reset has already cleared the pushes."""
         fill_rows(self._is_pushed, env_ids, False)
         fill_rows(self._push, env_ids, 0.0)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]

@@ -1,4 +1,4 @@
-"""Event terms that set the state at the start of an episode."""
+"""Event terms that set the robot's state at the start of an episode."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ _ROBOT = SceneEntityCfg("robot")
 class reset_root_state_uniform(TermBase):
     """Place the root at the sum of its default position, the environment's origin, and a uniform offset.
 
-    ``quat = default * euler_xyz(U)``, in body axes; the velocity is of the CoM in world axes.
+    The orientation is ``quat = default * euler_xyz(U)``, in body axes. The velocity is that of the centre of mass in
+    world axes.
 
     Args:
-        pose_range: ``x``, ``y``, ``z`` in m; ``roll``, ``pitch``, ``yaw`` in rad.
-        velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
+        pose_range: The ranges are ``x``, ``y``, ``z`` in m, and ``roll``, ``pitch``, ``yaw`` in rad.
+        velocity_range: The ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
     settings = ("_low", "_high")
@@ -54,7 +55,7 @@ class reset_root_state_uniform(TermBase):
         robot.write_root_velocity_to_sim(start[:, 7:13] + u[:, 6:12], ids)
 
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
-        """Return root orientations (n, 4), given default orientations (n, 4) and drawn angles (n, 3), rad."""
+        """Return root orientations (n, 4), given default orientations (n, 4) and random Euler angles (n, 3), rad."""
         return rotation.quat_mul(default, rotation.quat_from_euler_xyz(*euler.unbind(dim=1)))
 
 
@@ -69,12 +70,13 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 class reset_root_state_from_terrain(TermBase):
     """Place the root above a random flat patch of the environment's tile, with a random orientation.
 
-    The patch is one of ``init_pos`` in the ground's ``flat_patches``. The root's default position is added to the
-    patch; the default orientation is ignored. The velocity is of the CoM in world axes.
+    The patch is one of the patches ``init_pos`` in the ground's ``flat_patches``. The root's default position is added
+    to the position of the patch; the default orientation has no effect. The velocity is that of the root's centre of
+    mass in world axes.
 
     Args:
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
-        velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
+        velocity_range: The ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
     settings = ("_low", "_high")
@@ -94,7 +96,10 @@ class reset_root_state_from_terrain(TermBase):
         self._robot, self._terrain = env.scene[asset_cfg.name], env.scene.terrain
         if "init_pos" not in self._terrain.flat_patches:
             expected = "flat patches 'init_pos' in env.scene.terrain"
-            raise ConfigError("the ground has no flat patches 'init_pos' for start positions", expected=expected)
+            raise ConfigError(
+                "the ground has no flat patches named 'init_pos', from which start positions are drawn",
+                expected=expected,
+            )
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids, terrain, robot = all_ids(env, env_ids), self._terrain, self._robot
@@ -118,7 +123,7 @@ def reset_joints_by_scale(
 ) -> None:
     """Set joint positions and velocities to their defaults times uniform factors, within soft limits.
 
-    A default of 0 remains 0.
+    A default position or velocity of 0 remains 0.
     """
     _reset_joints(env, env_ids, torch.mul, (position_range, velocity_range), generator, asset_cfg)
 

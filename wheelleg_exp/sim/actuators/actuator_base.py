@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
-# Every joint of an actuator group needs values of these parameters.
+# Every joint of an actuator group needs a value of each parameter in this list.
 NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
@@ -33,11 +33,12 @@ Stream = Callable[[], torch.Generator]
 
 
 class ActuatorBase(Stateful):
-    """Base class of actuator models; a model drives one group of joints.
+    """Base class of actuator models; each actuator model drives one group of joints.
 
-    A checkpoint saves the tensors that the method ``state`` returns. Each parameter is a number or a mapping from joint
-    expressions to values. Once the simulations run, ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit``
-    are tensors (N, joints of the group).
+    A checkpoint saves the tensors that the method ``state`` returns. Each parameter of an actuator model is one number
+    for all joints, or a mapping from regular expressions of joint names to numbers. Once the simulations run,
+    ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors of the shape (N, joints of the
+    group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
@@ -51,7 +52,7 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # False if the MuJoCo controls depend only on the joint targets.
+    reads_state: ClassVar[bool] = True  # The flag is False if the controls depend only on joint targets.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 
@@ -78,7 +79,7 @@ class ActuatorBase(Stateful):
         """
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
-        """Find the actuator group's joints and make a tensor of each parameter; ConfigError if a joint has no value."""
+        """Find the actuator group's joints, and make parameter tensors; raise ConfigError if a joint has no value."""
         expressions = f"{key}.joint_names_expr"
         indices, self.joint_names = match_names(self.joint_names_expr, joint_names, key=expressions, what="joint")
         self.joint_ids = torch.tensor(indices, device=device)
@@ -126,7 +127,7 @@ class ActuatorBase(Stateful):
         self.reset(env_ids)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the actuator model's memory of the environments ``env_ids``."""
+        """Clear the actuator model's memory (such as delayed targets) in the environments ``env_ids``."""
 
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` of the delayed targets."""
@@ -134,7 +135,7 @@ class ActuatorBase(Stateful):
         return self._of_joints(self.control(delayed, data), "control")
 
     def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return ``computed_torque`` for the delayed targets of the last step."""
+        """Return ``computed_torque`` for the delayed joint targets of the last physics step."""
         torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
         return self._of_joints(torque, "computed_torque")
 
@@ -147,15 +148,15 @@ class ActuatorBase(Stateful):
         return value
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group) for the targets and the state before a physics step."""
-        raise NotImplementedError("a model needs 'control(targets, data)'")
+        """Return the MuJoCo controls (N, joints of the group) for joint targets and the state before a physics step."""
+        raise NotImplementedError("an actuator model must define the method 'control(targets, data)'")
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the unclipped torque (N, joints of the group) that acted at the start of the last step, N·m."""
-        raise NotImplementedError("a model needs 'computed_torque(targets, data)'")
+        """Return the unclipped torque, N·m, (N, joints of the group), at the start of the last physics step."""
+        raise NotImplementedError("an actuator model must define the method 'computed_torque(targets, data)'")
 
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
-        """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, for joints (N, J) of the robot."""
+        """Return the PD torque kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, of the robot's joints, (N, J)."""
         ids = self._columns
         return (
             self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])

@@ -1,7 +1,7 @@
 """Learned drives: networks that were trained on measurements of a real drive.
 
-The TorchScript file of a network is stored next to the robot's file, in the folder ``NETWORKS``. The command that
-starts a run copies the TorchScript file from the user's asset folders into the run directory.
+The TorchScript file of a drive's neural network is stored next to the robot's file, in the folder ``NETWORKS``. The
+command that starts a run copies the TorchScript file from the user's asset folders into the run directory.
 """
 
 from __future__ import annotations
@@ -47,10 +47,11 @@ _RUNS_AT_LOADING = b"__setstate__"
 
 
 class Network(Kept):
-    """A network from a TorchScript file, with constant weights.
+    """A neural network with constant weights, loaded from a TorchScript file.
 
-    TorchScript code can read and write files, even while torch loads the network. Therefore a TorchScript file raises
-    ConfigError if it contains operations that networks do not need. ``key`` is the config key of the TorchScript file.
+    TorchScript code can read and write files, even while torch loads it. Therefore a TorchScript file is rejected with
+    ConfigError if it contains operations that neural networks do not need. ``key`` is the config key of the TorchScript
+    file.
     """
 
     def __init__(self, file: Path, key: str, device: torch.device | None) -> None:
@@ -62,17 +63,19 @@ class Network(Kept):
             code = (name for name in reader.get_all_records() if "code/" in name)
             if any(_RUNS_AT_LOADING in reader.get_record(name) for name in code):
                 method = _RUNS_AT_LOADING.decode()
-                raise self._refused(f"the network file contains a '{method}', which would run while the file is loaded")
+                raise self._refused(
+                    f"the network file defines the method '{method}', which would run while the file is loaded"
+                )
             module = torch.jit.load(io.BytesIO(data), map_location=device)
             graph = module.eval().inlined_graph
         except (RuntimeError, AttributeError, ValueError, BadZipFile) as error:
             reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-            raise self._refused(f"'{file.name}' is not a TorchScript network: {reason}") from error
+            raise self._refused(f"torch cannot read '{file.name}' as a TorchScript network: {reason}") from error
         for kind in _kinds(graph):
             space, _, name = kind.partition("::")
             known = {"prim": _LANGUAGE, "aten": _OPERATIONS}.get(space, frozenset())
             if name not in known and name.removesuffix("_") not in known:
-                raise self._refused(f"'{file.name}' runs '{kind}', which is not an operation of a network")
+                raise self._refused(f"the network '{file.name}' contains the operation '{kind}', which is not allowed")
         self._module = module
 
     def _refused(self, message: str) -> ConfigError:
@@ -88,7 +91,7 @@ class Network(Kept):
             return self._module.forward(*inputs)
 
     def tried(self, *inputs: Any, count: int) -> Any:
-        """Run the network once; ConfigError if the network fails, or if its first output is not ``count`` torques."""
+        """Run the network once; raise ConfigError if the network fails or does not return ``count`` torques."""
         try:
             found = self(*inputs)
             torques = found[0] if isinstance(found, tuple) else found
@@ -109,7 +112,7 @@ def _kinds(block: Any) -> Iterator[str]:
 
 
 class ActuatorNet(DCMotor):
-    """An actuator model whose network computes torques; a torque-speed line limits them, and the gains are NaN.
+    """An actuator whose neural network computes torques, limited by a torque-speed line; its PD gains are NaN.
 
     Args:
         network_file: the TorchScript file, below an asset folder.
@@ -141,10 +144,11 @@ class ActuatorNet(DCMotor):
 
 
 class ActuatorNetMLP(ActuatorNet):
-    """A perceptron on the position errors and speeds of the present and previous physics steps (Hwangbo et al., 2019).
+    """A perceptron that maps position errors and speeds of the last physics steps to torques (Hwangbo et al., 2019).
 
-    The inputs of the network are (rows, 2 len(input_idx)) numbers, one row per joint; its output is one number per row.
-    Errors and speeds before an episode count as 0. Target speeds and feed-forward efforts are ignored.
+    The network's input is a tensor (rows, 2 len(input_idx)) with one row per joint. The network's output is one number
+    per row. Position errors and speeds from before the start of an episode count as 0. The actuator ignores velocity
+    targets and feed-forward efforts.
 
     Args:
         pos_scale: factor on position errors.
@@ -200,9 +204,10 @@ class ActuatorNetMLP(ActuatorNet):
 class ActuatorNetLSTM(ActuatorNet):
     """An LSTM that computes torques from the present position errors and speeds (Rudin et al., 2022).
 
-    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. The inputs of the network are (rows, 1,
-    2) numbers, one row per joint, and the LSTM's hidden state. The outputs are one torque per row, N·m, and the new
-    hidden state. The hidden state is 0 at the start of an episode. Target speeds and feed-forward efforts are ignored.
+    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. The network's inputs are a tensor (rows,
+    1, 2), with one row per joint, and the LSTM's hidden state. The network's outputs are one torque per row, N·m, and
+    the LSTM's new hidden state. The LSTM's hidden state is 0 at the start of an episode. The actuator ignores velocity
+    targets and feed-forward efforts.
     """
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
@@ -210,7 +215,7 @@ class ActuatorNetLSTM(ActuatorNet):
         layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
         if not layers:
             expected = "a batch-first LSTM whose memory is an input and an output"
-            raise ConfigError("the network has no LSTM named 'lstm'", key=f"{key}.network_file", expected=expected)
+            raise ConfigError("the network contains no LSTM named 'lstm'", key=f"{key}.network_file", expected=expected)
         self._layers, self._width = len(layers), int(layers[0].shape[1])
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:

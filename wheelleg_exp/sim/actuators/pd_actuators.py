@@ -1,4 +1,4 @@
-"""PD actuators inside and outside of MuJoCo's solver, and motors whose largest torque depends on speed or position."""
+"""PD actuators inside and outside of MuJoCo's solver, and motors with a speed- or position-dependent torque limit."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ImplicitActuator(ActuatorBase):
         actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        del data  # MuJoCo's solver subtracts kp q + kd qd.
+        del data  # MuJoCo's solver subtracts the feedback kp q + kd qd.
         ids = self._columns
         control = self.stiffness * targets.pos[:, ids]
         control += self.damping * targets.vel[:, ids]
@@ -121,7 +121,7 @@ def _delays_in_order(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_delays_in_order)
 class DelayedPDActuator(IdealPDActuator):
-    """An ``IdealPDActuator`` with delayed joint targets; each reset draws one delay per environment.
+    """An ``IdealPDActuator`` with delayed joint targets; each reset draws a new delay for each environment.
 
     Args:
         min_delay: shortest delay, physics steps.
@@ -156,9 +156,10 @@ def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_angles_rise)
 class RemotizedPDActuator(DelayedPDActuator):
-    """A ``DelayedPDActuator`` whose largest torque depends on the joint's position, such as a motor with a linkage.
+    """A ``DelayedPDActuator`` whose largest torque depends on the joint's position, for example because of a linkage.
 
-    The lookup table is interpolated linearly between rows, and is constant before its first and after its last row.
+    The lookup table of the largest torques is interpolated linearly between its rows, and is constant before the first
+    row and after the last row.
 
     Args:
         joint_parameter_lookup: rows of joint position, rad; transmission ratio, which is ignored; and largest torque,

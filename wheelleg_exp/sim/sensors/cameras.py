@@ -62,16 +62,16 @@ class CameraData(Kept):
 
     @property
     def quat_w_ros(self) -> torch.Tensor:
-        """Camera orientation (w, x, y, z), (N, 4), for axes x right, y down, z forward."""
+        """Orientation of the camera (w, x, y, z), (N, 4); its x axis points right, y down, and z forward."""
         return convert_convention(self.quat_w_world, "world", "ros")
 
     @property
     def quat_w_opengl(self) -> torch.Tensor:
-        """Camera orientation (w, x, y, z), (N, 4), for axes x right, y up, z backward."""
+        """Orientation of the camera (w, x, y, z), (N, 4); its x axis points right, y up, and z backward."""
         return convert_convention(self.quat_w_world, "world", "opengl")
 
     def add_output(self, data_type: str, channels: int, dtype: torch.dtype) -> None:
-        """Allocate the images of one data type."""
+        """Allocate the memory for the images of one data type."""
         size = (len(self.pos_w), *self.image_shape, channels)
         self.output[data_type] = torch.zeros(size, dtype=dtype, device=self.pos_w.device)
 
@@ -97,7 +97,7 @@ def camera_offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 def in_world_convention(offset: CameraOffset | None) -> Offset:
-    """Return an offset in the convention ``world`` (x forward, y left, z up); the default convention is ``ros``."""
+    """Convert a camera's offset to the convention ``world`` (x forward, y left, z up); the default is ``ros``."""
     given: Mapping[Any, Any] = offset or {}
     rot = torch.tensor([given.get("rot", (1.0, 0.0, 0.0, 0.0))], dtype=torch.float32, device="cpu")
     convention: Convention = given.get("convention", "ros")
@@ -106,13 +106,13 @@ def in_world_convention(offset: CameraOffset | None) -> Offset:
 
 
 def opengl_quat(offset: Offset) -> list[float]:
-    """Return the orientation (w, x, y, z) of an offset in the convention ``opengl``, which MuJoCo's cameras use."""
+    """Return a camera's orientation (w, x, y, z) in the convention ``opengl``, which MuJoCo's cameras use."""
     quat: list[float] = convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
     return quat
 
 
 def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> torch.Tensor:
-    """Replace distances beyond ``farthest``, m, by inf, 0, or ``farthest``, as Isaac Lab does."""
+    """Replace distances greater than ``farthest``, m, by inf, 0, or ``farthest``, as in Isaac Lab."""
     instead = {"none": math.inf, "zero": 0.0, "max": farthest}[behavior]
     return depth.masked_fill(depth > farthest, instead)
 
@@ -143,9 +143,9 @@ def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
 class Camera(LazySensor):
     """A camera on a body that MuJoCo renders separately for each environment; use it for few environments.
 
-    The first read needs a graphics driver that renders without a display (EGL or OSMesa). The image of an environment
-    shows only the robot of that environment and the ground. Colours come from the compiled model and its lights. With
-    the same driver, the same state gives the same image.
+    The first read of an image needs a graphics driver that renders without a display (EGL or OSMesa). The image of an
+    environment shows only the robot of that environment and the ground. The image's colours come from the compiled
+    model and its lights. With one graphics driver, equal states give equal images.
 
     Args:
         body_name: expression of the body.
@@ -155,7 +155,8 @@ class Camera(LazySensor):
             along the axis), ``distance_to_camera`` (m, along the pixel's ray), ``semantic_segmentation`` (ground or
             robot), ``instance_segmentation_fast`` (bodies), ``instance_id_segmentation_fast`` (geoms), int32.
         offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, and ``convention`` of the
-            camera's axes: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
+            camera's axes. A camera of the convention ``world`` looks along x, with z up; ``ros`` looks along z, with -y
+            up; ``opengl`` looks along -z, with y up.
         focal_length: in the unit of the apertures; only their ratio matters.
         horizontal_aperture: width of the image plane.
         vertical_aperture: height of the image plane; null makes pixels square.
@@ -163,7 +164,8 @@ class Camera(LazySensor):
         vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
         fovy: vertical angle of view, rad, instead of the apertures; pixels are square.
         clipping_range: nearest and farthest visible distance along the axis, m.
-        depth_clipping_behavior: distance of a pixel that sees nothing: ``none`` inf, ``zero`` 0, ``max`` the farthest.
+        depth_clipping_behavior: distance of a pixel that sees nothing. The value ``none`` gives inf, ``zero`` gives 0,
+            and ``max`` gives the largest distance.
         max_num_envs: maximum number of environments, because each image takes milliseconds.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
@@ -238,7 +240,7 @@ class Camera(LazySensor):
         self._pictures = CameraPictures(sim.model, self._name_in_model, width, height, self._range, layers)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Render the images of the environments ``ids``; NoGraphics or SimulationFailure if rendering fails."""
+        """Render the images of the environments ``ids``; raise NoGraphics or SimulationFailure if rendering fails."""
         data, quat, turn = self._data, self._mount.quat_w[ids], self._mount.rot_w[ids]
         data.pos_w[ids] = self._mount.pos_w[ids] + rotation.rotate(turn, self._offset_pos.expand(len(turn), 3))
         data.quat_w_world[ids] = rotation.quat_mul(quat, self._offset_quat.expand_as(quat))
@@ -261,7 +263,7 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        return self._numbers[kind][seen["geom"].long()]  # Geom id -1 is the background and selects the last entry.
+        return self._numbers[kind][seen["geom"].long()]  # Geom id -1 means background and selects the last entry.
 
     def state_dict(self) -> dict[str, Any]:
         return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
@@ -273,7 +275,7 @@ class Camera(LazySensor):
 
 
 def _labels(model: mujoco.MjModel, kind: str) -> tuple[dict[int, str], list[int]]:
-    """Return the label of each segmentation id, and the id of each geom followed by the background's id."""
+    """Return the label of each segmentation id, and the segmentation ids of all geoms and of the background."""
     if kind == "semantic_segmentation":
         numbers = [1 if is_ground(model.geom(g).name) else 2 for g in range(model.ngeom)]
         return {0: _BACKGROUND, 1: "ground", 2: "robot"}, [*numbers, 0]
@@ -291,19 +293,21 @@ RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
 
 @relation(camera_offset_fits)
 class RayCasterCamera(RayCaster):
-    """A depth camera on a body that casts rays and sees only the ground, for any number of environments.
+    """A depth camera on a body; it casts rays, sees only the ground, and suits any number of environments.
 
     The camera needs no graphics driver. The distance of a pixel is the length of the ray through its centre.
 
     Args:
         body_name: expression of the body.
         pattern: the pixels, a ``PinholePattern``.
-        data_types: ``distance_to_image_plane`` or ``depth`` (m, along the axis), ``distance_to_camera`` (m, along the
-            pixel's ray).
+        data_types: types of the images, ``distance_to_image_plane`` or ``depth`` (m, along the camera's axis) and
+            ``distance_to_camera`` (m, along the pixel's ray).
         offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, and ``convention`` of the
-            camera's axes: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
+            camera's axes. A camera of the convention ``world`` looks along x, with z up; ``ros`` looks along z, with -y
+            up; ``opengl`` looks along -z, with y up.
         max_distance: longest ray, m.
-        depth_clipping_behavior: distance of a pixel that sees nothing: ``none`` inf, ``zero`` 0, ``max`` the longest.
+        depth_clipping_behavior: distance of a pixel that sees nothing. The value ``none`` gives inf, ``zero`` gives 0,
+            and ``max`` gives the largest distance.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 

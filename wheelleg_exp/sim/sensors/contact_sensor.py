@@ -23,28 +23,29 @@ if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
 
-# The sizes of the fields in MuJoCo's order. The force is in the contact's frame, and its normal component is first.
+# The sizes of a contact's fields in MuJoCo's order; the normal component is the first component of the force.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
 FIELDS = tuple(_SIZES)
-NORMAL = ("found", "force", "normal")  # The normal force is computed from these fields.
+NORMAL = ("found", "force", "normal")  # The contact fields from which the normal force is computed.
 
 
 def width(fields: tuple[str, ...]) -> int:
-    """Return the number of values that a contact sensor reports for one contact."""
+    """Return how many numbers a contact sensor reports for one contact."""
     return sum(_SIZES[name] for name in fields)
 
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Return the sum over contacts of pressures (N, B, 1, S) times normals (N, B, S, 3), (N, B, 3)."""
+    """Return the sum over S contacts of pressure (N, B, 1, S) times normal (N, B, S, 3), as a tensor (N, B, 3)."""
     if pressures.is_cuda:  # On a GPU, a batched product of tiny matrices is ten times slower than this sum.
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
 
 
 class ContactPairs:
-    """Reads the contacts of B sensed bodies with M other bodies from the engine's live values, (N, B * M, S, W).
+    """Reads the contacts of B sensed bodies with M other bodies from the engine's sensor values, (N, B * M, S, W).
 
-    The contact normal points away from the sensed body. ``fields`` is a subset of ``FIELDS``.
+    The contact normal points away from the sensed body. ``fields`` selects some of the contact quantities in
+    ``FIELDS``.
     """
 
     def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
@@ -52,20 +53,20 @@ class ContactPairs:
         self._bodies = bodies
 
     def normal_forces(self) -> torch.Tensor:
-        """Return the normal force on each sensed body from each other body, N, (N, B, M, 3), world axes."""
+        """Return the normal force on each sensed body from each other body, (N, B, M, 3), newtons, world axes."""
         return self._of_pairs(summed(self._parts["force"][..., 0].unsqueeze(2), self._parts["normal"]).neg_())
 
     def friction_forces(self) -> torch.Tensor:
-        """Return the friction force on each sensed body from each other body, N, (N, B, M, 3), world axes."""
+        """Return the friction force on each sensed body from each other body, (N, B, M, 3), newtons, world axes."""
         tangent = self._parts["tangent"]
         across = torch.linalg.cross(self._parts["normal"], tangent)
         _, along, aside = self._parts["force"].split(1, dim=-1)
         return self._of_pairs((along * tangent + aside * across).sum(dim=2).neg_())
 
     def points(self) -> torch.Tensor:
-        """Return the mean position of the contacts, m, (N, B, M, 3), world axes; NaN without a contact."""
+        """Return the mean contact position of each pair of bodies, m, (N, B, M, 3), world axes; NaN without contact."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # The unused slots of a sensor contain zeros.
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # Entries without a contact are zero.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -102,7 +103,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # The first read creates this tensor of all forces.
+        self._history: torch.Tensor | None = None  # The force history, created when it is first read.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -112,19 +113,19 @@ class ContactSensorData(Kept):
 
     @property
     def net_forces_w(self) -> torch.Tensor:
-        """Net normal force of the last physics step, N, (N, B, 3)."""
+        """Net normal force on each body in the last physics step, (N, B, 3), in newtons."""
         return self.forces[0]
 
     @property
     def net_forces_w_history(self) -> torch.Tensor:
-        """Net normal force, N, (N, T, B, 3), newest first."""
+        """History of the net normal force on each body, (N, T, B, 3), in newtons, newest first."""
         if self._history is None:
             self._history = torch.stack(self.forces, dim=1)
             self.forces[:] = self._history.unbind(dim=1)
         return self._history
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
-        """Replace the force history, a sequence of (N, B, 3), newest first."""
+        """Replace the force history by a sequence of tensors (N, B, 3), newest first."""
         self.forces[:] = forces  # Change the list in place, because captured CUDA graphs refer to the list.
         self._history = None
 
@@ -142,7 +143,7 @@ class ContactSensorData(Kept):
     last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
 
     def add_filters(self, count: int, track_contact_points: bool, track_friction_forces: bool) -> None:
-        """Allocate the tensors of the forces from ``count`` filtered bodies."""
+        """Allocate the tensors of the contact forces from ``count`` other bodies."""
         n, bodies, _ = self.net_forces_w.shape
         self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
         self.points = torch.full_like(self.filtered[:, 0], torch.nan) if track_contact_points else None
@@ -159,36 +160,36 @@ class ContactSensorData(Kept):
             setattr(self, name, value)
 
     def of_pairs(self) -> dict[str, torch.Tensor]:
-        """Return the tracked quantities of the pairs of sensed and filtered bodies, by attribute name."""
+        """Return the tracked contact quantities of each pair of a sensed and a filtered body, by attribute name."""
         found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
         return {name: value for name, value in found.items() if value is not None}
 
     def add_pose(self, robot: Robot, bodies: list[str]) -> None:
-        """Store the source of the sensed bodies' poses."""
+        """Store the object from which the poses of the sensed bodies are read."""
         self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
 
     @property
     def force_matrix_w_history(self) -> torch.Tensor:
-        """Normal force from each filtered body, N, (N, T, B, M, 3), newest first."""
+        """Past normal forces on each sensed body from each filtered body, (N, T, B, M, 3), newtons, newest first."""
         if self.filtered is None:
             self._refuse("forces are not separated by body", "filter_body_names", "the other bodies, or ground")
         return self.filtered
 
     @property
     def force_matrix_w(self) -> torch.Tensor:
-        """Normal force of the last physics step from each filtered body, N, (N, B, M, 3)."""
+        """Present normal force on each sensed body from each filtered body, (N, B, M, 3), newtons."""
         return self.force_matrix_w_history[:, 0]
 
     @property
     def contact_pos_w(self) -> torch.Tensor:
-        """Mean position of the contacts with each filtered body, m, (N, B, M, 3); NaN without a contact."""
+        """Mean contact position of each sensed body with each filtered body, m, (N, B, M, 3); NaN without contact."""
         if self.points is None:
             self._refuse("contact points are not tracked", "track_contact_points", "true, and filter_body_names")
         return self.points
 
     @property
     def friction_forces_w(self) -> torch.Tensor:
-        """Friction of the last physics step from each filtered body, N, (N, B, M, 3)."""
+        """Present friction force on each sensed body from each filtered body, (N, B, M, 3), newtons."""
         if self.friction is None:
             self._refuse("friction is not tracked", "track_friction_forces", "true, and filter_body_names")
         return self.friction
@@ -212,13 +213,13 @@ class ContactSensorData(Kept):
         raise ConfigError(message, key=f"{self._key}.{name}", expected=expected)
 
     def require_times(self) -> None:
-        """Raise ConfigError if contact and air times are not tracked."""
+        """Raise ConfigError if the contact sensor does not track contact and air times."""
         if not self._track_air_time:
             expected = "true, for a term that reads times or first contacts"
             self._refuse("contact and air times are not tracked", "track_air_time", expected)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Set the forces and times of the environments ``ids`` to zero."""
+        """Set the contact forces and times of the environments ``ids`` to zero."""
         self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
         for name, value in self.of_pairs().items():
             setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
@@ -231,7 +232,7 @@ _WIDTH = width(NORMAL)
 
 
 class ContactSensor(SensorBase):
-    """Sum of the normal contact forces on each body in the last physics step, world axes, without friction.
+    """Sum of the normal contact forces on each body in the last physics step, in world axes; friction is not included.
 
     Args:
         body_names: expressions of the sensed bodies.
@@ -330,24 +331,24 @@ class ContactSensor(SensorBase):
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
     def max_force_norm(self) -> torch.Tensor:
-        """Return the largest force norm of each body over the history, N, (N, B)."""
+        """Return the largest contact force of each body over the history, (N, B), in newtons."""
         if self._largest_norm is None:
             norms = (torch.linalg.vector_norm(force, dim=-1) for force in self.data.forces)
             self._largest_norm = functools.reduce(torch.maximum, norms)
         return self._largest_norm
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
-        """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
+        """Return a mask (N, B) of the bodies that touched down within the last ``dt`` seconds."""
         time = self.data.current_contact_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
-        """Return which bodies (N, B) left the ground within the last ``dt`` seconds."""
+        """Return a mask (N, B) of the bodies that left the ground within the last ``dt`` seconds."""
         time = self.data.current_air_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
+        # The contact normal points away from the sensed body, and force[0] >= 0 pushes the two bodies apart.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
         self._largest_norm = None
@@ -360,7 +361,7 @@ class ContactSensor(SensorBase):
         elapsed = elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1)
         contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
         for mode, active in (("contact", contact), ("air", ~contact)):
-            # Add up the time in contact and in the air. When a phase has just ended, store its duration.
+            # Add up the time in contact or in the air; when a contact or flight phase ends, store the phase's duration.
             current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
             ended = ~active & (current > 0.0)
             lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)

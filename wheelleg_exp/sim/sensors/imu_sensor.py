@@ -34,7 +34,7 @@ class ImuNoise(Kept):
 
 
 class ImuData(Kept):
-    """Measurements of an IMU under Isaac Lab's names; the suffix ``_b`` means the axes of the IMU.
+    """Measurements of an IMU, with Isaac Lab's attribute names; the suffix ``_b`` means the axes of the IMU.
 
     Attributes:
         pos_w: position, m, (N, 3).
@@ -60,12 +60,13 @@ class ImuData(Kept):
 class Imu(SensorBase):
     """A sensor of the pose, velocities and accelerations of a frame on a body, like Isaac Lab's ``Imu``.
 
-    Accelerations are finite differences of velocity over the last physics step. Velocities that events write do not
-    appear as accelerations. After a reset, the accelerations are 0.
+    Accelerations are finite differences of velocity over the last physics step. Velocities that events write have no
+    effect on the measured accelerations. After a reset, the measured accelerations are 0 until the next physics step.
 
     Args:
         body_name: expression of the body.
-        offset: the IMU's pose in the body's frame: ``pos``, m, and ``rot``, (w, x, y, z).
+        offset: the IMU's pose in the body's frame, with the position ``pos``, m, and the orientation ``rot``, (w, x, y,
+            z).
         gravity_bias: added to the acceleration, world axes, m/s^2; by default minus gravity, as an IMU at rest reads.
         accelerometer: errors of ``lin_acc_b``; null means none.
         gyroscope: errors of ``ang_vel_b``; null means none.
@@ -146,12 +147,12 @@ class Imu(SensorBase):
         fill_rows(self._is_new, env_ids, False)
 
     def _velocities(self) -> torch.Tensor:
-        """Return the IMU's linear and angular velocity, world axes, (N, 6)."""
+        """Return the IMU's linear and angular velocity in world axes, (N, 6)."""
         ang, arm = self._mount.ang_vel_w, self._mount.rot_w @ self._offset_pos
         return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
 
     def _show(self, due: torch.Tensor | None) -> None:
-        """Measure the environments of the mask ``due`` (None means all) and write the results to ``data``."""
+        """Measure the environments in the mask ``due`` (None means all) and write the results to ``data``."""
         body = self._mount.rot_w
         rot = body @ self._turn
         velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)

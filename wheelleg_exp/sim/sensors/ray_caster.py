@@ -25,7 +25,7 @@ _Axis = Literal["x", "y", "z"]
 
 
 class RayCasterData(Kept):
-    """Measurements of a ray caster under Isaac Lab's names.
+    """Measurements of a ray caster, with Isaac Lab's attribute names.
 
     Attributes:
         pos_w: position of the body with the drift of this episode, without the offset, m, (N, 3).
@@ -50,19 +50,19 @@ class RayCasterData(Kept):
 
 @relation(offset_fits)
 class RayCaster(LazySensor):
-    """A sensor that casts rays from a body; only the ground stops the rays. The rays are cast when ``data`` is read.
+    """A sensor that casts rays from a body; only the ground stops the rays. Rays are cast when ``data`` is read.
 
     Args:
         body_name: expression of the body.
         pattern: the rays.
-        offset: ``pos``, m, (x, y, z), shifts the rays' origins, and ``rot``, (w, x, y, z), rotates their directions, in
-            the frame of ``ray_alignment``.
-        ray_alignment: ``base`` rotates origins and directions with the body; ``yaw`` rotates origins by the body's yaw
-            and keeps the directions; ``world`` rotates nothing.
+        offset: ``pos``, m, (x, y, z), shifts the origins of the rays, and ``rot``, (w, x, y, z), rotates the directions
+            of the rays, in the frame of ``ray_alignment``.
+        ray_alignment: ``base`` rotates the rays' origins and directions with the body; ``yaw`` rotates only the
+            origins, by the body's yaw; ``world`` does not rotate the rays.
         max_distance: longest ray, m.
         drift_range: range of a position error along each world axis, drawn at each reset, m.
-        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the rays' origins in the
-            aligned frame, ``z`` shifts hits up.
+        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the origins of the rays in
+            the aligned frame, and ``z`` shifts the hit points up.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
@@ -111,7 +111,7 @@ class RayCaster(LazySensor):
 
     @property
     def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Origins, m, (R, 3) or (1, 3) if all are equal, and unit directions (R, 3), in the aligned frame."""
+        """Origins of the rays, m, (R, 3), or (1, 3) if equal, and unit directions (R, 3), in the aligned frame."""
         return self._starts, self._directions
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -133,9 +133,10 @@ class RayCaster(LazySensor):
     def _cast(
         self, ids: torch.Tensor | slice, pos: torch.Tensor, drift: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the rays' origins, m, directions (n, R, 3), and lengths, m, (n, R); a negative length is a miss.
+        """Return the rays' origins, m, directions (n, R, 3), and lengths, m, (n, R); a negative length means no hit.
 
-        ``pos`` is the position of the body, m, (n, 3); ``drift`` has the errors drawn for these episodes, m, (n, 6).
+        ``pos`` is the position of the body, m, (n, 3); ``drift`` has the position errors of the current episodes, m,
+        (n, 6).
         """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])

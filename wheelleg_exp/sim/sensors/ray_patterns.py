@@ -22,11 +22,11 @@ class PatternBase(Kept):
     """A pattern of rays: one YAML node in a ray caster, from this package or user-defined."""
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the origins, m, (R, 3), and the directions (R, 3) of the rays; no direction may have length 0."""
+        """Return the origins, m, (R, 3), and the directions (R, 3) of all rays; no direction may have length 0."""
         raise NotImplementedError("a pattern needs 'rays(device)'")
 
     def checked_rays(self, device: torch.device) -> Rays:
-        """Return the rays; ConfigError, with a key below the sensor's, if ``rays`` returns anything invalid."""
+        """Return the rays; raise ConfigError if the method ``rays`` returns an invalid result."""
         if type(self).__module__ == __name__:
             # Torch's meta device gives the shape of the rays without allocating memory.
             count = len(self.rays(torch.device("meta"))[0])
@@ -49,7 +49,7 @@ class PatternBase(Kept):
 
 
 class GridPattern(PatternBase):
-    """Parallel rays from a grid centred on the sensor, with rays at both ends of each axis.
+    """Parallel rays that start on a grid centred on the sensor; the outermost rays start on the edges of the grid.
 
     Args:
         resolution: distance between neighbouring rays, m.
@@ -136,7 +136,7 @@ class BpearlPattern(PatternBase):
 class PinholePattern(PatternBase):
     """Rays through the centres of the pixels of a camera that looks along x, row by row from the upper left.
 
-    ``intrinsics`` has the rows of the intrinsic matrix, px.
+    ``intrinsics`` has the rows of the camera's intrinsic matrix, in pixels.
 
     Args:
         width: px.

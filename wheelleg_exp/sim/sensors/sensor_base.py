@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 class SensorBase(Kept):
     """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
-    A subclass adds its elements to the spec, connects to the running simulations, and measures in ``measure``. Its
-    tensors are (N, ...) on the engine's device. ``state_dict`` must contain everything that later steps depend on.
-    ``name`` and ``terrain`` are set before ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
+    A subclass adds its elements to the MuJoCo spec, connects to the running simulations, and measures in the method
+    ``measure``. The tensors of a sensor have the shape (N, ...) and are on the engine's device. The method
+    ``state_dict`` must return everything that later measurements depend on. The scene sets ``name`` and ``terrain``
+    before it calls ``add_to``. The attribute names of ``data`` are those of Isaac Lab's sensor data.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
@@ -47,11 +48,11 @@ class SensorBase(Kept):
 
     @property
     def cfg(self) -> SensorBase:
-        """The sensor itself, because terms written for Isaac Lab read settings from ``cfg``."""
+        """Return the sensor itself, because terms written for Isaac Lab read settings from ``sensor.cfg``."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Add the sensor's elements to the spec before the scene is compiled; ConfigError if a name is missing."""
+        """Add the sensor's elements to the uncompiled MuJoCo spec; raise ConfigError if a name does not exist."""
         del spec, robot
         self.name, self.body_names = name, []
 
@@ -80,11 +81,11 @@ class SensorBase(Kept):
         self._elapsed.masked_fill_(due, 0.0)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Measure the environments of the mask ``due`` (N,); None means all.
+        """Measure the environments in the mask ``due`` (N,); None means all environments.
 
         ``elapsed`` is the time since the last measurement, s, (N,) or one number for all environments.
         """
-        raise NotImplementedError("a sensor needs 'measure(due, elapsed)'")
+        raise NotImplementedError("a sensor must define the method 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Start new episodes of the environments ``env_ids``, before reset events write the new state."""
@@ -93,7 +94,7 @@ class SensorBase(Kept):
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """After the state of ``env_ids`` was written, measure new episodes, so that their first observation is new."""
+        """Measure the environments ``env_ids`` after a reset, so that the first observation shows the new state."""
         new = env_ids[self._is_new[env_ids]]
         if len(new):
             due = torch.zeros_like(self._is_new).index_fill_(0, new, True)
@@ -101,14 +102,14 @@ class SensorBase(Kept):
             self._is_new.index_fill_(0, new, False)
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log entries, by name, about limits that the sensor exceeded in episodes that end now."""
+        """Return log entries, by name, about limits of the sensor that were exceeded in the episodes that end now."""
         del env_ids
         return {}
 
     def find_bodies(
         self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the sensed bodies that match; ConfigError if an expression matches no body."""
+        """Return indices and names of matching sensed bodies; raise ConfigError if an expression matches no body."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def state_dict(self) -> dict[str, Any]:
@@ -123,7 +124,7 @@ class SensorBase(Kept):
 
 
 def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
-    """Raise ConfigError if an overriding method has not called the base class's method, which sets ``attribute``."""
+    """Raise ConfigError if an overriding method did not call the base class's method, which sets ``attribute``."""
     if not hasattr(sensor, attribute):
         method = call.partition("(")[0]
         message = f"'{dotted_name(sensor)}.{method}' does not call the base class's method"
@@ -132,9 +133,9 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 
 
 class LazySensor(SensorBase):
-    """A sensor that measures when ``data`` is read, at most once per state; ``sense`` writes to ``_data``.
+    """A sensor that measures only when ``data`` is read, at most once per state; ``sense`` writes to ``_data``.
 
-    A sensor with an update period stores its measurements. It measures each environment at the reset and at the first
+    A lazy sensor with an update period stores its measurements. Such a sensor measures at the reset and at the first
     physics step after each period, even if ``data`` is not read. Reading ``data`` never changes the results of a lazy
     sensor.
 
@@ -147,8 +148,8 @@ class LazySensor(SensorBase):
         self._data: Any = None
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Measure the environments ``ids``; a slice means all."""
-        raise NotImplementedError("a lazy sensor needs 'sense(ids)'")
+        """Measure the environments ``ids``; a slice means all environments."""
+        raise NotImplementedError("a lazy sensor must define the method 'sense(ids)'")
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         super().connect(sim, stream)
@@ -213,10 +214,10 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
 
 
 def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
-    """Make a property of the mount that reads one of two attributes of the robot's data."""
+    """Make a property that reads one attribute of the robot's data for the root, and another for all other links."""
 
     def get(self: Mount) -> torch.Tensor:
-        # The root's pose and velocity are part of the state. The engine must compute the poses and velocities of links.
+        # The root's pose and velocity are part of the state, but the engine must compute those of all other links.
         data = self._robot.data
         return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
 
@@ -224,7 +225,7 @@ def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
 
 
 class Mount(Kept):
-    """The robot's body on which a sensor is mounted; ConfigError unless the expression matches one body."""
+    """The robot's body on which a sensor is mounted; raise ConfigError unless the expression matches one body."""
 
     def __init__(self, expression: str, robot: Robot, key: str) -> None:
         found, names = robot.find_bodies([expression], key=key)

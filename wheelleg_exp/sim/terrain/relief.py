@@ -17,9 +17,10 @@ from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
 
 @dataclass(frozen=True)
 class Tile:
-    """The heights of one tile, m; the first index is along x, the second along y.
+    """The heights of one terrain tile, m; the first index is along x, the second index along y.
 
-    Heights belong to the corners of cells (nx + 1, ny + 1), or, with ``boxes``, to cells (nx, ny) with vertical edges.
+    The heights (nx + 1, ny + 1) belong to the corners of the grid's squares. With ``boxes``, the heights (nx, ny)
+    belong to the squares, which have vertical edges.
     """
 
     heights: npt.NDArray[np.float32]
@@ -27,13 +28,13 @@ class Tile:
 
     @property
     def cells(self) -> tuple[int, int]:
-        """The number of cells along x and y."""
+        """The number of grid squares along x and y."""
         nx, ny = self.heights.shape
         return (nx, ny) if self.boxes else (nx - 1, ny - 1)
 
 
 class HeightMap:
-    """The layout of tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
+    """The layout of terrain tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
 
     Between corners the surface is that of MuJoCo's height fields: two triangles per cell, which meet on the diagonal
     from the cell's lowest to its highest x and y.
@@ -50,7 +51,7 @@ class HeightMap:
         self._size = torch.tensor(list(size), device=device)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the heights (...) at points (..., 2), m; 0 outside of the tiles."""
+        """Return the ground's heights (...) at points (..., 2), m; 0 outside of the terrain tiles."""
         place = xy / self._size.to(xy) + self._counts / 2
         tile = place.floor()
         inside = ((place >= 0) & (place <= self._counts)).all(dim=-1)
@@ -61,7 +62,7 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # The stride between neighbours along x.
+        along_x = cells[..., 1] + slanted  # the memory stride between neighbours along x
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
@@ -69,11 +70,11 @@ class HeightMap:
         return torch.where(inside, height, 0.0).to(xy.dtype)
 
     def heights_at(self, points: Array) -> Array:
-        """Return the heights (...) at points (..., 2) as NumPy arrays, m; the map must be on the CPU."""
+        """Return the ground's heights (...) at points (..., 2) as NumPy arrays, m; the map must be on the CPU."""
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # Isaac Lab uses this margin when it assigns kinds of tiles to columns.
+_MARGIN = 0.001  # the margin that Isaac Lab uses when it assigns sub-terrains to columns
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,8 @@ class Layout:
 class Relief:
     """A generated ground, with coordinates relative to the centre of the ground.
 
-    ``tiles`` are in order of rows; ``kinds`` (the index of each tile's sub-terrain) and ``difficulties`` are (rows,
-    cols); ``origins`` are (rows, cols, 3), m, and flat ``patches`` (rows, cols, P, 3), m, by name.
+    ``tiles`` are in order of rows. ``kinds`` (the index of each tile's sub-terrain) and ``difficulties`` have the shape
+    (rows, cols), and ``origins``, m, (rows, cols, 3). Flat ``patches``, m, have the shape (rows, cols, P, 3), by name.
     """
 
     tiles: Sequence[Tile]
@@ -108,7 +109,7 @@ class Relief:
 
 
 def make_relief(layout: Layout) -> Relief:
-    """Generate the ground; equal arguments give equal grounds. ConfigError if a tile cannot be made."""
+    """Generate the ground; equal arguments give an equal ground. Raise ConfigError if a terrain tile cannot be made."""
     rng = np.random.default_rng(layout.seed)
     shape = (layout.num_rows, layout.num_cols)
     names, parts = list(layout.sub_terrains), list(layout.sub_terrains.values())
@@ -116,7 +117,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # The flat patches of each name are filled with the tiles' origins for tiles without patches.
+    # A tile without flat patches of a name gets the tile's origin instead of each patch.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():
@@ -133,7 +134,7 @@ def make_relief(layout: Layout) -> Relief:
         part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
         tile = _tile(layout, part, difficulty, rng, key)
         kinds[row, col], difficulties[row, col], tiles[row, col] = kind, difficulty, tile
-        # The largest height in a central window whose edges are a share of the tile's edges.
+        # The origin of a tile has the largest height in a central window, whose edges are a share of the tile's edges.
         windows = []
         for count in tile.heights.shape:
             reach = max(0.5, layout.origin_window * count / 2)
@@ -167,7 +168,7 @@ def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Ge
     half = (size[0] / 2 - part.border_width, size[1] / 2 - part.border_width)
     if min(half) <= 0:
         expected = f"less than half a tile's edge, {min(size) / 2:g}"
-        raise ConfigError("the borders cover the whole tile", key=f"{key}.border_width", expected=expected)
+        raise ConfigError("the flat borders cover the whole terrain tile", key=f"{key}.border_width", expected=expected)
     pairs = list(zip(cells, size, strict=True))
     x, y = (np.linspace(-edge / 2, edge / 2, count + 1) for count, edge in pairs)
     if part.boxes:

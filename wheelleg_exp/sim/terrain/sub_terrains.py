@@ -13,9 +13,9 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-# Do not import annotations from __future__ here: user-defined dataclasses in other modules inherit the annotations of
-# this module, which must be types, not strings.
-_POINTS = 10  # Like Isaac Lab, compare the heights at this many points on each ring around a patch.
+# Do not import annotations from __future__ here, because annotations must be types, not strings.
+# User-defined dataclasses in other modules inherit the annotations of this module.
+_POINTS = 10  # number of points on each ring around a patch whose heights are compared, as in Isaac Lab
 _ROUNDS = 1000
 
 
@@ -23,8 +23,8 @@ _ROUNDS = 1000
 class FlatPatches(Kept):
     """Flat patches of a tile: random positions are drawn until enough of them have level ground around them.
 
-    The height of a patch is the height of its centre. The ranges are relative to the tile's origin, and are clipped to
-    the tile.
+    The height of a flat patch is the height of its centre. The ranges of x, y, and z are relative to the tile's origin,
+    and are clipped to the tile.
 
     Args:
         num_patches: number of patches per tile, P.
@@ -50,10 +50,10 @@ class FlatPatches(Kept):
         rng: np.random.Generator,
         key: str,
     ) -> Array:
-        """Return patches (P, 3) relative to the tile's origin, m; ConfigError if the tile has too few flat patches.
+        """Return flat patches (P, 3), m, relative to the tile's origin; raise ConfigError if too few exist.
 
         ``height_at`` returns heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) is the
-        tile's origin, ``size`` has the edges of the tile, m, and ``key`` is the config key of the patches.
+        tile's origin, m, ``size`` has the tile's edge lengths, m, and ``key`` is the config key of the patches.
         """
         half, ranges = np.array(size) / 2, np.array([self.x_range, self.y_range])
         low = np.maximum(ranges[:, 0] + origin[:2], -half)
@@ -75,14 +75,14 @@ class FlatPatches(Kept):
         raise ConfigError(message, key=key, expected="a smaller patch_radius, a larger max_height_diff or wider ranges")
 
 
-EDGE = 1e-9  # m; a point that is this close to an edge counts as inside
+EDGE = 1e-9  # m; a point at most this far outside an edge counts as inside
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The points of a tile's heights, relative to the tile's centre, m; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
+    """The grid points of a tile's heights, m, relative to the tile's centre; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    ``half`` has half the edges of the area inside the tile's flat rim, m.
+    ``half`` has half the edge lengths of the area inside the tile's flat rim, m.
     """
 
     x: Array
@@ -91,11 +91,11 @@ class Grid:
 
     @property
     def to_edge(self) -> Array:
-        """Distance of each point from the nearest edge, positive inside, m, (nx, ny)."""
+        """Distance of each grid point from the tile's nearest edge, m, (nx, ny), positive inside the tile."""
         return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + EDGE
 
     def is_within(self, width: float) -> npt.NDArray[np.bool_]:
-        """Return which points lie in the central square of a width, (nx, ny)."""
+        """Return a mask (nx, ny) of the grid points that are inside the central square of the given width."""
         return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE <= width / 2
 
 
@@ -103,8 +103,8 @@ class Grid:
 class SubTerrain(Kept):
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. Heights become boxes with vertical edges, or a height field whose edges are slopes one
-    cell wide. Each box slows down all environments a little; a height field slows down only the robots on it.
+    A subclass returns heights. The tile's heights become boxes with vertical edges, or a height field whose edges are
+    steep slopes. Each box slows down all environments a little; a height field slows down only the robots on it.
 
     Args:
         proportion: relative share of the tiles.
@@ -121,22 +121,22 @@ class SubTerrain(Kept):
     boxes: bool = False
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the heights over a grid, m, (nx, ny); equal arguments must give equal heights.
+        """Return the tile's heights at the grid points, m, (nx, ny); equal arguments must give equal heights.
 
-        The difficulty is 0 on the easiest and 1 on the hardest tile; ``rng`` is the ground's random generator.
+        The difficulty is 0 for the easiest tile and 1 for the hardest tile; ``rng`` is the ground's random generator.
         """
         raise NotImplementedError
 
 
 def at(difficulty: float, interval: Any) -> float:
-    """Return the value of a range ``[easiest, hardest]`` at a difficulty."""
+    """Interpolate a range ``[easiest, hardest]`` at a difficulty between 0 and 1."""
     low, high = interval
     return float(low + difficulty * (high - low))
 
 
 @dataclass(kw_only=True)
 class RandomUniform(SubTerrain):
-    """Random heights in multiples of a step within a range, interpolated linearly; the difficulty has no effect.
+    """Terrain with random heights in multiples of a step, interpolated linearly; the difficulty has no effect.
 
     Args:
         noise_range: lowest and highest height, m.
@@ -161,7 +161,7 @@ class RandomUniform(SubTerrain):
 
 @dataclass(kw_only=True)
 class UniformNoise(SubTerrain):
-    """Random heights from U(-a, a), interpolated linearly; the amplitude a grows with the difficulty.
+    """Terrain with random heights from U(-a, a), interpolated linearly; the amplitude a grows with the difficulty.
 
     Args:
         amplitude_range: a of the easiest and the hardest tile, m.
@@ -181,9 +181,9 @@ class UniformNoise(SubTerrain):
 
 @dataclass(kw_only=True)
 class PyramidSlope(SubTerrain):
-    """A pyramid with a level top, whose faces all have the same angle.
+    """A pyramid with a level top and four faces of equal slope.
 
-    Isaac Lab's faces have this angle only along the centre line of each side, and a smaller one towards the corners.
+    In Isaac Lab, the slope of the pyramid's faces decreases from the centre line of each side to the corners.
 
     Args:
         slope_range: angle of the easiest and the hardest tile, rad.
@@ -203,10 +203,10 @@ class PyramidSlope(SubTerrain):
 
 @dataclass(kw_only=True)
 class Waves(SubTerrain):
-    """``h = A / 2 (cos(k y) + sin(k x))`` from the tile's corner, with ``k = 2 pi num_waves / (edge along y)``.
+    """Waves ``h = A / 2 (cos(k y) + sin(k x))`` from the tile's corner, with ``k = 2 pi num_waves / (edge along y)``.
 
     Args:
-        amplitude_range: A of the easiest and the hardest tile, m; heights are between -A and A.
+        amplitude_range: the amplitude A of the easiest and the hardest tile, m; the heights are between -A and A.
         num_waves: number of waves along y.
     """
 
@@ -221,10 +221,10 @@ class Waves(SubTerrain):
 
 
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
-    """Draw heights on a lattice, and interpolate them linearly, first along x, then along y.
+    """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The lattice starts at the tile's first point inside the flat rim. With a lattice that started at the edge of a rim
-    of half a cell, every height would be the mean of four draws, which has half of their standard deviation.
+    The lattice starts at the tile's first point inside the flat rim. If the lattice started at the edge of a flat rim
+    of half a grid square, every height would be the mean of four draws, with half of their standard deviation.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,19 +235,19 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return each point's lattice interval, its share of the way through that interval, and the number of intervals."""
+    """Return each point's lattice interval and relative position in the interval, and the number of intervals."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # A point on the lattice gets exactly the height that was drawn there, in spite of rounding errors.
+    # Round the position, so that a point on the lattice gets exactly the height that was drawn at this point.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # Isaac Lab's position of the second step, as a share of the way from the platform to the edge.
+_SECOND = 0.6  # position of the second step between platform (0) and edge (1), as in Isaac Lab
 
 
 @dataclass(kw_only=True)
@@ -311,10 +311,10 @@ class RandomGrid(SubTerrain):
 
 @dataclass(kw_only=True)
 class DiscreteObstacles(SubTerrain):
-    """Level ground with blocks and pits at random positions; a later obstacle overwrites an earlier one.
+    """Level ground with blocks and pits at random positions; where two obstacles overlap, the later obstacle counts.
 
     Args:
-        obstacle_height_mode: ``fixed`` is one height; ``choice`` draws that height, half of it, or the negative of one.
+        obstacle_height_mode: ``fixed`` gives all obstacles one height h; ``choice`` draws h, h/2, -h/2, or -h.
         obstacle_width_range: shortest and longest edge, m.
         obstacle_height_range: height of the easiest and the hardest tile, m.
         num_obstacles: number of obstacles.
@@ -342,7 +342,7 @@ class DiscreteObstacles(SubTerrain):
 
 @dataclass(kw_only=True)
 class SteppingStones(SubTerrain):
-    """Stones in rows along x with holes between them; harder tiles have narrower stones that are further apart.
+    """Stepping stones in rows along x; harder tiles have narrower stones with wider holes between the stones.
 
     Args:
         stone_height_max: largest size of a stone's height, drawn from U(-max, max), m.
@@ -396,7 +396,7 @@ class Gap(SubTerrain):
 
 @dataclass(kw_only=True)
 class Rails(SubTerrain):
-    """Two square rails around the centre.
+    """Two square rails around the centre of the tile.
 
     Args:
         rail_thickness_range: thickness of the inner and the outer rail, m.

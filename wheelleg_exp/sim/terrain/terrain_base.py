@@ -19,11 +19,11 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
-_FAR = 1e3  # m; the rays of a probe start at this height
+_FAR = 1e3  # m; the height at which a probe's rays start
 
 
 class Probe:
-    """Measures the ground's heights by rays. The first measurement compiles a model without the robot."""
+    """Measures the ground's heights by rays. The first measurement compiles a model of the ground."""
 
     def __init__(self, add_to: Callable[[mujoco.MjSpec], None]) -> None:
         self._add_to = add_to
@@ -39,7 +39,7 @@ class Probe:
         return self._model
 
     def height_at(self, xy: torch.Tensor, outside: float = 0.0) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2), m, (...); ``outside`` for points without ground."""
+        """Return the ground's height (...) at points (..., 2), m; points without ground get the value ``outside``."""
         if self._engine is None:
             self._engine = BatchEngine(self.model(), 1, 1)
         origins = torch.cat((xy, torch.full_like(xy[..., :1], _FAR)), dim=-1).reshape(1, -1, 3)
@@ -56,8 +56,8 @@ GROUND_GROUP = 0  # The geom group that is reserved for the ground.
 class TerrainBase(Kept):
     """The ground (``env.scene.terrain``): one YAML node, from this package or user-defined.
 
-    MuJoCo has no restitution, and one friction coefficient: ``env.robot.friction_source`` selects one of the two
-    friction coefficients.
+    MuJoCo has no restitution, and only one friction coefficient. The config key ``env.robot.friction_source`` selects
+    the static or the dynamic friction coefficient.
 
     Args:
         static_friction: the ground's coefficient at rest.
@@ -104,7 +104,7 @@ class TerrainBase(Kept):
         raise NotImplementedError("a ground needs 'add_to(spec)'")
 
     def friction(self, source: str) -> float:
-        """Return the ``static`` or the ``dynamic`` friction coefficient."""
+        """Return the ground's ``static`` or ``dynamic`` friction coefficient."""
         return self.static_friction if source == "static" else self.dynamic_friction
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
@@ -115,10 +115,10 @@ class TerrainBase(Kept):
         """Read the ground's files from the robot's folder, before any other method is called."""
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Compute the origins of the environments, once, before ``add_to``.
+        """Compute the origins of all environments; the scene calls this method once, before ``add_to``.
 
-        ``spacing`` is the distance between neighbours on a grid, m. ``stream`` returns the ground's random stream; a
-        ground without random numbers does not call ``stream``.
+        ``spacing`` is the distance between neighbouring environments on a grid, m. ``stream`` returns the ground's
+        random stream; a ground without random numbers does not call ``stream``.
         """
         self._probe, self._stream = Probe(self.add_to), stream
         self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
@@ -127,7 +127,7 @@ class TerrainBase(Kept):
             self.env_origins = self.origins(num_envs, spacing, device)
             self._require_shape("origins", self.env_origins, (num_envs, 3))
             return
-        # As in Isaac Lab, the column of environment i is floor(i / (N / cols)), and its row is random.
+        # As in Isaac Lab, the tile column of environment i is floor(i / (N / cols)), and the tile row is random.
         rows, cols, _ = self.terrain_origins.shape
         self.max_terrain_level = rows
         highest = rows - 1 if self.max_init_terrain_level is None else min(self.max_init_terrain_level, rows - 1)
@@ -142,7 +142,7 @@ class TerrainBase(Kept):
             raise ConfigError(message, key=TERRAIN_KEY, where=where, expected=f"a tensor of shape {shape}")
 
     def lay(self, spec: mujoco.MjSpec) -> None:
-        """Add the ground to the scene's spec; ConfigError if ``add_to`` or ``height_at`` returns a wrong result."""
+        """Add the ground to the MuJoCo spec; raise ConfigError if ``add_to`` or ``height_at`` has a wrong result."""
         before = Counter(geom.name for geom in spec.geoms)
         self.add_to(spec)
         added = Counter(geom.name for geom in spec.geoms) - before
@@ -157,10 +157,10 @@ class TerrainBase(Kept):
             self._require_shape("height_at", self.height_at(points), tuple(points.shape[:-1]))
 
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
-        """Move environments ``env_ids`` (n,) one tile up or down in their column; the masks are (n,) bool.
+        """Move the environments ``env_ids`` (n,) to a harder or an easier tile in their column, by masks (n,) bool.
 
-        As in Isaac Lab, an environment that passes the last row moves to a random row, and the first row is the lowest.
-        The method has no effect on a ground without tiles.
+        As in Isaac Lab, an environment that passes the last row moves to a random row, and no environment leaves the
+        first row downwards. The method has no effect on a ground without tiles.
         """
         if self.terrain_origins is None:
             return
@@ -172,9 +172,10 @@ class TerrainBase(Kept):
         self.env_origins[env_ids] = self.terrain_origins[levels, self.terrain_types[env_ids]]
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 for points without ground.
+        """Return the ground's height (...) at world points (..., 2), m; 0 for points without ground.
 
-        A subclass may override ``height_at`` with a formula. By default, rays from above measure the height.
+        A subclass may override ``height_at`` with a formula. By default, vertical rays from above measure the ground's
+        height.
         """
         return self._probe.height_at(xy)
 
@@ -184,7 +185,7 @@ class TerrainBase(Kept):
 
     @property
     def has_formula(self) -> bool:
-        """Whether ``height_at`` is a formula, which is cheaper than rays."""
+        """Whether ``height_at`` evaluates a formula instead of casting rays, which takes longer."""
         return type(self).height_at is not TerrainBase.height_at
 
     def state_dict(self) -> dict[str, Any]:
@@ -218,7 +219,7 @@ def grid_origins(num_envs: int, spacing: float, device: torch.device | None = No
 
 
 class Plane(TerrainBase):
-    """An infinite plane at height 0, with the friction and restitution of ``TerrainBase``."""
+    """An infinite plane at height 0; ``TerrainBase`` defines its friction and restitution."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         look: dict[str, Any] = {"friction": [self.dynamic_friction, 0.005, 0.0001], "rgba": [0.35, 0.38, 0.42, 1]}

@@ -79,7 +79,7 @@ class _FromFile(TerrainBase):
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return the positions of ``start`` in turn, m, (N, 3); environments cannot collide with each other."""
+        """Return one of the ``start`` positions for each environment, m, (N, 3), in turn; robots never collide."""
         del spacing
         start = torch.tensor(self._start, device=device)
         xy = start[torch.arange(num_envs, device=device) % len(start)]
@@ -124,7 +124,9 @@ class HeightField(_FromFile):
         try:
             mapped = np.load(file, mmap_mode="r", allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
-            raise ConfigError(f"'{self.file}' is not an array", key=self._key, expected="a .npy file") from error
+            raise ConfigError(
+                f"the file '{self.file}' is not a NumPy array", key=self._key, expected="a .npy file"
+            ) from error
         return self._scaled(mapped)
 
     def _png(self, file: Path) -> Read:
@@ -132,8 +134,10 @@ class HeightField(_FromFile):
 
         try:
             picture = imread(file)
-        except Exception as error:  # Matplotlib raises many kinds of errors for a damaged image.
-            raise ConfigError(f"'{self.file}' is not an image", key=self._key, expected="a .png file") from error
+        except Exception as error:  # Matplotlib raises many types of errors for a damaged image.
+            raise ConfigError(
+                f"the file '{self.file}' is not a readable image", key=self._key, expected="a .png file"
+            ) from error
         return self._scaled((picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T)
 
     def _scaled(self, values: npt.NDArray[Any]) -> Read:
@@ -148,9 +152,10 @@ class HeightField(_FromFile):
 
 
 class Mesh(_FromFile):
-    """A mesh in world coordinates, converted to a height field by rays from above.
+    """Terrain from a mesh in world coordinates; rays from above convert the mesh to a height field.
 
-    In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces below an overhang are lost.
+    In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces of the mesh below an overhang
+    are lost.
 
     Args:
         file: a ``.obj`` or ``.stl`` file in the world's axes, relative to an asset folder.
@@ -188,7 +193,9 @@ class Mesh(_FromFile):
             model = spec.compile()
         except ValueError as error:
             reason = " ".join(str(error).split())
-            raise ConfigError(f"'{self.file}' is not a mesh: {reason}", key=self._key, expected="a mesh") from error
+            raise ConfigError(
+                f"the file '{self.file}' is not a readable mesh: {reason}", key=self._key, expected="a mesh"
+            ) from error
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, model.geom_quat[0])
         corners = model.mesh_vert @ turned.reshape(3, 3).T + model.geom_pos[0]
@@ -199,7 +206,7 @@ class Mesh(_FromFile):
         require_memory(200 * cells, f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,} cells of the ground")
         x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        # A ray exactly along an edge of the mesh may miss the mesh. Cast one ray slightly to each side of a point.
+        # A vertical ray through an edge of the mesh may miss the mesh, so cast one ray on each side of each point.
         probe, inset = Probe(add_to), 1e-6 * edges
         inner = low[:2] + inset / 3, high[:2] - inset / 3
         near = [(points + side * inset * (0.6, 0.4)).clip(*inner) for side in (-1, 1)]

@@ -23,7 +23,7 @@ _COLOUR = (0.35, 0.38, 0.42, 1.0)
 
 
 def add_geom(spec: mujoco.MjSpec, name: str, friction: float, **what: Any) -> None:
-    """Add one geom of the ground to a scene's spec."""
+    """Add one geom of the ground to the scene's MuJoCo spec."""
     spec.worldbody.add_geom(name=name, friction=[friction, 0.005, 0.0001], rgba=_COLOUR, **what)
 
 
@@ -36,7 +36,7 @@ def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike,
 def add_tile(
     spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
 ) -> None:
-    """Add a tile as a height field or boxes, which extend below the lowest height by a tenth of the tile's edge.
+    """Add a terrain tile as a height field or boxes that extend a tenth of the tile's edge below the lowest height.
 
     ``name`` is the name of the geom or the prefix of the boxes' names; ``centre`` and ``size`` are in m.
     """
@@ -47,7 +47,7 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        # Boxes ``(i0, i1, j0, j1, top)`` of cells whose tops are the heights: the smaller of two decompositions.
+        # The result has boxes ``(i0, i1, j0, j1, top)``; use the one of two decompositions that has fewer boxes.
         levels = np.unique(heights)
         apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
         nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
@@ -55,7 +55,7 @@ def add_tile(
             low, high = corner + cell * (i0, j0), corner + cell * (i1, j1)
             add_box(spec, f"{name}/{number}", friction, (*low, lowest - depth), (*high, top))
     else:
-        # MuJoCo scales the heights to [0, 1], and its rows are along y.
+        # MuJoCo scales the heights of a height field to [0, 1], and the rows of a height field are along y.
         span, (columns, rows) = highest - lowest, heights.shape
         data = ((heights - lowest) / span).T.ravel()
         spec.add_hfield(name=name, nrow=rows, ncol=columns, size=[size[0] / 2, size[1] / 2, span, depth], userdata=data)
@@ -74,8 +74,8 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
             started[run] = i
 
 
-ORIGIN_WINDOW = 0.25  # share of a tile's edge
-_BYTES = 40  # bytes per cell in NumPy, torch and MuJoCo
+ORIGIN_WINDOW = 0.25  # edge of the central window as a share of a tile's edge
+_BYTES = 40  # bytes of memory per grid square in NumPy, torch and MuJoCo
 
 
 def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -86,10 +86,11 @@ def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_some_share)
 class TerrainGenerator(TerrainBase):
-    """Tiles in rows along x and columns along y, centred on the world's origin.
+    """Terrain of tiles in rows along x and columns along y, centred on the world's origin.
 
-    With ``curriculum``, all tiles of a column have one kind, chosen by the kinds' proportions, and the difficulty of
-    row i is ``low + (high - low) (i + U(0, 1)) / rows``. Otherwise the kind and difficulty of each tile are random.
+    With ``curriculum``, all tiles of a column are of one sub-terrain, chosen by the sub-terrains' proportions. The
+    difficulty of row i is then ``low + (high - low) (i + U(0, 1)) / rows``. Without ``curriculum``, the sub-terrain and
+    the difficulty of each tile are random.
 
     Args:
         size: edges of a tile along x and y, m.
