@@ -89,7 +89,7 @@ def push_columns(
 
 
 def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
-    """Return the recovery columns of ``push_columns``. ``height`` (N,) is the target height, m."""
+    """Return the recovery columns of ``push_columns``. ``height`` (N,) is the target height of the base, m."""
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
     outside = (tilt >= options.recovered_tilt) | ((made.height - height).abs() >= options.recovered_height)
@@ -120,9 +120,9 @@ class World:
 def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
     """Yield the unchanged simulation (``nominal``) and all changed variants, given the config section ``env``.
 
-    Events set masses, centres of mass, gains, and friction. The added events run after the task's events, and overwrite
-    the random values that the task's events set. In the noise variants, the observation terms in ``noise_std`` get
-    another noise. ``base`` is the name of the root link.
+    The function adds events that set masses, centres of mass, gains, or friction. The added events run after the task's
+    events, and overwrite the random values that the task's events set. In the noise variants, the observation terms in
+    ``noise_std`` get another noise. ``base`` is the name of the root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:

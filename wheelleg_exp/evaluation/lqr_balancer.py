@@ -165,8 +165,7 @@ class Reference:
         # In a left turn, the sign of a wheel's speed depends on the side of the wheel.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
-        # The bandwidth of the wheels' drive, 1/s, is the damping divided by the armature, but at most one per control
-        # step.
+        # The drive's bandwidth, 1/s, is the damping divided by the armature, but at most one per control step.
         robot = env.scene.robot
         ids = [robot.joint_names.index(name) for name in names]
         damping = robot.data.default_joint_damping[0, ids].mean()

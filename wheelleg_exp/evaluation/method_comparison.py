@@ -40,7 +40,7 @@ class Test:
     """The result of a statistical test that compares the episodes of two methods.
 
     Attributes:
-        test: ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
+        test: name of the test, ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
         p: two-sided probability of a difference at least this large by chance.
         pairs: number of pairs; without pairs, the number of episodes of the smaller group.
         untied: number of pairs that differ; None without pairs.
@@ -106,8 +106,7 @@ class Difference:
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
-        # If the median or the ranks contradict the means, a few extreme episodes determine the means. Then no method is
-        # better.
+        # If the median or the ranks contradict the means, a few extreme episodes decide the means: no method is better.
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
             return ""
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
@@ -335,7 +334,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     return wilcoxon(other, one) if are_pairs else mann_whitney(other, one)
 
 
-# --- comparisons in words ---
+# --- functions that describe comparisons in words ---
 
 _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 

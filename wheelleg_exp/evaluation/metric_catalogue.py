@@ -26,7 +26,7 @@ Rows = Callable[[Mapping[str, Array]], Array]
 LEVEL = 0.95  # confidence level
 
 
-# --- reductions over episodes ---
+# --- functions that reduce the values of episodes to one number ---
 
 
 def mean(columns: Sequence[Array]) -> Array:
@@ -107,7 +107,7 @@ def highest(columns: Sequence[Array], share: float) -> Array:
     return count
 
 
-# --- selections of episodes ---
+# --- functions that select the episodes of a metric ---
 
 
 def everything(rows: Mapping[str, Array]) -> Array:

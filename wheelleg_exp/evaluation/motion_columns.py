@@ -245,8 +245,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        # The displacement since the stop command, m or rad, (T, N), is positive in the previous direction of motion,
-        # -c.
+        # The displacement since the stop command, m or rad, (T, N), is positive in the previous direction of motion.
         heading = at(yaw, windows[2])
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()
@@ -275,7 +274,7 @@ def group_effort(motion: Motion) -> Columns:
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
     """Return the share of the spectral power of signals (T, N, J) above 10 Hz, (N,); NaN for episodes that ended early.
 
-    The share of a constant signal is 0.
+    For a constant signal, the share above 10 Hz is 0.
     """
     whole = counted[-1]
     begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0

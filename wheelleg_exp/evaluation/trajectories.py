@@ -27,10 +27,10 @@ class EffortMeter(SensorBase):
     accelerates the armature. The work of this torque is exactly the armature's gain of kinetic energy.
 
     An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. A torque below the
-    share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. The sums over a
-    control step are: ``gross``, ``net``, and ``positive`` work, J, (N,); ``peak`` of the positive power of all joints,
-    W, (N,); and per joint (N, J) the number of ``saturated`` physics steps, the ``squares`` of torques, and the
-    ``sign_changes`` across the whole dead band.
+    share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. Over each control
+    step, ``gross``, ``net``, and ``positive`` are sums of work, J, (N,), and ``peak`` is the largest positive power of
+    all joints, W, (N,). For each joint (N, J), ``saturated`` is the number of saturated physics steps, ``squares`` is
+    the sum of squared torques, and ``sign_changes`` counts changes of the torque's sign across the whole dead band.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -117,7 +117,7 @@ class Trajectories:
     height: torch.Tensor  # (T, N)
     roll: torch.Tensor  # (T, N)
     pitch: torch.Tensor  # (T, N)
-    yaw: torch.Tensor  # (T, N), -pi to pi
+    yaw: torch.Tensor  # (T, N), yaw from -pi to pi
     vel: torch.Tensor  # (T, N, 3)
     ang: torch.Tensor  # (T, N, 3)
     command: torch.Tensor  # (T, N, 3)

@@ -28,7 +28,7 @@ _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
 def serialize(state: Mapping[str, Any]) -> bytes:
-    """Return the bytes of a checkpoint file. Equal states give equal bytes."""
+    """Encode a training's state as the bytes of a checkpoint file. Equal states give equal bytes."""
     buffer = io.BytesIO()
     torch.save(_rebuilt(dict(state)), buffer)
     return buffer.getvalue()

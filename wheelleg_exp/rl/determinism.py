@@ -42,7 +42,7 @@ _STATES: dict[str, Callable[[], Any]] = {
 
 
 # torch splits sums over more numbers than this among threads, so the order of additions depends on the thread count.
-# The constant is at::internal::GRAIN_SIZE.
+# This constant has the value of torch's constant at::internal::GRAIN_SIZE.
 SPLIT_ABOVE = 32768
 
 

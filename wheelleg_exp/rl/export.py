@@ -1,4 +1,4 @@
-"""Export a policy for deployment: TorchScript, ONNX, and a description of inputs and outputs."""
+"""Export a policy for deployment as TorchScript and ONNX, with a description of its inputs and outputs."""
 
 from __future__ import annotations
 

@@ -155,8 +155,8 @@ def _is_large(layer: nn.Linear) -> bool:
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
     """Return the output (..., O) of a linear layer. All factors of its matrix products are bfloat16.
 
-    The input (..., I) is float32 or bfloat16. The bias (O,) is added in float32. With ``elu``, ELU with alpha 1
-    follows: exp(y) - 1 where y is negative. The output is float32 without ELU and bfloat16 with ELU.
+    The layer's input (..., I) is float32 or bfloat16. The layer's bias (O,) is added in float32. With ``elu``, ELU with
+    alpha 1 follows: exp(y) - 1 where y is negative. The output is float32 without ELU and bfloat16 with ELU.
     """
     return _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
 
@@ -167,8 +167,8 @@ class _Linear(torch.autograd.Function):
         low, factors = x.bfloat16(), weight.bfloat16()
         y = _multiply(low, factors.t())
         if elu:
-            # Add the bias and apply ELU in float32, in place, in blocks of rows that fit into the CPU cache. torch's
-            # ELU is not used, because its result depends on how threads split a tensor. The result of `exp` does not.
+            # Add the bias and apply ELU in float32, in place, in blocks of rows that fit into the CPU cache.
+            # torch's ELU is not used, because its result, unlike that of `exp`, depends on the number of threads.
             for rows in y.split(max(1, _BLOCK // y.shape[1])):
                 part = rows + bias
                 rows.copy_(torch.maximum(part, part.clamp(max=0).exp_().sub_(1), out=part))

@@ -95,7 +95,7 @@ _MAX_FRAME_ERROR = 0.02
 
 
 class BodyImages:
-    """The mirror images of a robot's bodies.
+    """Finds the mirror image of each body of a robot.
 
     A body that a joint moves is paired by its joint. All other bodies are paired by their positions. ``names`` are the
     body names, starting with the root, and ``joint_images`` are the indices of the joints' images.

@@ -65,8 +65,7 @@ class NumberNames:
         numbers = (n for entity in (*own, *self.groups.get(path, ())) for n in self._numbers(entity, depth))
         found = []
         for number in self._within_bounds(numbers):
-            # A number must not have the name of a timeline. So the number `step` of `episode/step` becomes
-            # `episode.step`.
+            # Rename `step` of the entity `episode/step` to `episode.step`, because `step` is a timeline.
             if number.name in TIMELINES:
                 name = ".".join(unescaped(part) for part in parts_of(number.entity)[-2:])
                 number = Number(name, number.entity, number.index)

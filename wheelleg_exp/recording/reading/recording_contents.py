@@ -80,7 +80,7 @@ class Piece:
 
 
 class Contents:
-    """The rows of a recording by rerun entity: ``pieces`` are the rows of each message.
+    """The rows of a recording. ``pieces`` maps each rerun entity to the rows of the entity's messages.
 
     The constructor reads all complete messages of the file. The constructor raises RunDirectoryError if the file is
     missing or not a recording, or if the file contains several recordings and ``recording_id`` does not select one.
@@ -174,8 +174,8 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count damaged messages in rerun's log. The number of rows in the copy cannot be used for that, because the
-        # copy also lacks static rows that later static rows replace.
+        # Count the damaged messages in rerun's log, because the number of rows in the copy is not reliable.
+        # The copy also lacks static rows that later static rows replace.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 

@@ -169,8 +169,7 @@ class RecordedEnvironment:
     def frame_bytes(self, rows_together: int) -> float:
         """Return an upper estimate of a frame's bytes in the file; ``rows_together`` frames are written together."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # Add the three angles, the norms and arrows of contact forces, and the two velocity arrows, because these drawn
-        # entities have no channel.
+        # The angles, the norms and arrows of contact forces, and the velocity arrows are entities without a channel.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
@@ -257,8 +256,8 @@ class RecordedEnvironment:
         place = self.paths.overlay("colliders", self._model.body(body).name or f"body_{body}")
         for geom in colliders:
             if archetypes := shape(self._model, geom):
-                # A collision shape moves with its MuJoCo body. All collision shapes are below one entity path, so that
-                # one click in the viewer hides all of them.
+                # A collision shape moves with its MuJoCo body.
+                # All collision shapes are below one entity path, so that one click in the viewer hides all of them.
                 shown = [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
                 yield f"{place}/{join(geom_name(self._model, geom))}", shown
 

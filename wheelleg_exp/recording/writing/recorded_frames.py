@@ -100,8 +100,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
         term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
-            # Each component of a velocity command has its own entity, so that a plot can show command and measured
-            # value together.
+            # Each component of a command has its own entity, so that a plot can show it with the measured value.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
