@@ -108,7 +108,7 @@ def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):
     one = {**config, "agent": {"device": "cuda:0"}}
     assert Ranks(3, 4, 1, 2).config(one) == own
     one = {**config, "agent": {"device": "cuda:1"}}
-    with pytest.raises(ConfigError, match=r"'cuda:1' is one GPU for 4 processes; expected cuda"):
+    with pytest.raises(ConfigError, match=r"all 4 processes would share 'cuda:1'; expected cuda"):
         Ranks(3, 4, 1, 2).config(one)
 
 

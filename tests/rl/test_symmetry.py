@@ -152,8 +152,8 @@ def test_signs_of_joints_are_those_of_their_axes():
 @pytest.mark.parametrize(
     ("pairs", "said"),
     [
-        ({"x(.*)": r"r\1"}, "fits no joint"),
-        ({"l(.*)": r"s\1"}, "there is no joint 's1'"),
+        ({"x(.*)": r"r\1"}, "matches no joint name"),
+        ({"l(.*)": r"s\1"}, "the robot has no joint 's1'"),
         ({"l(": "r"}, "cannot be read"),
         ({"l(.*)": r"r\2"}, "cannot be read"),
     ],

@@ -1,7 +1,7 @@
-"""Environment of a task for an evaluation, and the wheels and mirrored joints of its robot.
+"""Build the environment of a task for an evaluation, and find the wheels and mirrored joints of the robot.
 
 The environment has the task's robot, start states, and observations, but no pushes. Wheels and mirrored joints are
-found by geometry, never by name.
+identified by geometry, never by name.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
 _CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "track_air_time": False}
 _DISTURBING = ("interval", "step")
-_MOST_CONTACTS = 8  # A wheel on rough ground has at most this number.
+_MOST_CONTACTS = 8  # A wheel on rough ground has at most this number of contacts.
 
 
 def evaluation_cfg(
     env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
 ) -> dict[str, Any]:
-    """Return a task's composed ``env`` section, changed for an evaluation.
+    """Return a task's config section ``env``, changed for an evaluation.
 
-    Events that act during an episode, time-outs, rewards, curricula, and recorders are removed. Commands, terminations
-    that are failures, observations with their noise, and events at startup and reset stay. ``ground`` says whether the
-    task's own ground stays.
+    The function removes events during an episode, time-outs, rewards, curricula, and recorders. The function retains
+    commands, failure terminations, observations with noise, and events at startup and reset. ``ground`` selects flat
+    ground or the task's own ground.
     """
     cfg = copy.deepcopy(dict(env_cfg))
     commands = cfg["commands"]
@@ -48,7 +48,7 @@ def evaluation_cfg(
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
     events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
     cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
-    # Only failures end an episode of an evaluation, because the horizon replaces the time-out.
+    # The time-out term is removed, because the evaluation protocol defines the episode length.
     ends = {name: node for name, node in cfg["terminations"].items() if isinstance(node, Mapping)}
     cfg["terminations"] = {name: node for name, node in ends.items() if not node.get("time_out")}
     cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
@@ -63,20 +63,20 @@ def evaluation_cfg(
 
 
 def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
-    """Return the name of a contact sensor that covers every body, or None."""
+    """Return the name of a contact sensor that covers every body of the robot; None if no sensor does."""
     wanted = {name: _CONTACTS[name] for name in ("_target_", "body_names")}
     nodes = {name: node for name, node in sensors.items() if isinstance(node, Mapping)}
     return next((name for name, node in nodes.items() if all(node.get(k) == v for k, v in wanted.items())), None)
 
 
 def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a plane with the friction of another ground."""
+    """Return a terrain config of a plane that has the friction of the given terrain config."""
     friction = {name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")}
     return {"_target_": "wheelleg_exp.sim.terrain.Plane", **friction}
 
 
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
-    """Build the environment. An episode that has ended is not reset. ConfigError if the robot's base is fixed."""
+    """Build the environment. Ended episodes are not reset. Raise ConfigError if the robot's base is fixed."""
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
@@ -86,7 +86,7 @@ def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
 
 
 def base_link(mjcf: Path) -> str:
-    """Return the name of the robot's root link."""
+    """Return the name of the root link of the robot in an MJCF file."""
     roots = mujoco.MjSpec.from_file(str(mjcf)).worldbody.bodies
     return str(next(body.name for body in roots if body.joints or body.bodies))
 
@@ -98,20 +98,20 @@ def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | Non
 
 
 def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
-    """Return the ``target_height`` of the first reward that has one, or None."""
+    """Return the parameter ``target_height`` of the first reward term that has this parameter, or else None."""
     nodes = (node for node in env_cfg["rewards"].values() if isinstance(node, Mapping))
     return next((node["target_height"] for node in nodes if node.get("target_height") is not None), None)
 
 
 @dataclass(frozen=True)
 class RobotParts:
-    """The robot's parts that metrics use; tensors of integers are indices into its joints.
+    """The joints and other properties of a robot that metrics use. Integer tensors are joint indices.
 
-    ``wheels`` (W,) are driven wheels that carry the robot. ``contacts`` is the name of the contact sensor on every
-    body, and ``wheel_bodies`` (W,) are the columns of the wheels' bodies in that sensor. ``wheel_offsets`` (W,) is the
-    distance of each wheel to the left of the base, m; None if the robot has no forward direction. ``left`` (P,) are
+    ``wheels`` (W,) are the joints of driven wheels that carry the robot. ``contacts`` is the name of a contact sensor
+    on every body, and ``wheel_bodies`` (W,) are the columns of the wheels in this sensor. ``wheel_offsets`` (W,) are
+    the y coordinates of the wheels in the base's axes, m; None if the robot has no forward direction. ``left`` (P,) are
     driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is ``right``
-    at ``sign`` · q. ``groups`` has the joints of each actuator group. ``effort_limit`` (N, J) is in N·m, inf without a
+    at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J) is in N·m, inf without a
     limit; ``mass`` is in kg and ``gravity`` in m/s².
     """
 
@@ -130,7 +130,7 @@ class RobotParts:
 
 
 def parts_of(env: Env) -> RobotParts:
-    """Return the parts of an environment's robot at its default pose."""
+    """Return the ``RobotParts`` of an environment's robot, computed at the robot's default pose."""
     robot, model, device = env.scene.robot, env.scene.model, env.device
     names = robot.joint_names
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]

@@ -20,22 +20,23 @@ from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositi
 
 Array = np.ndarray[Any, Any]
 
-# LQR weights of position, pitch, speed, and pitch rate (m, rad, m/s, rad/s), and of the wheels' acceleration, rad/s².
+# The LQR weights of position, pitch, speed, and pitch rate (m, rad, m/s, rad/s), and of the wheel acceleration, rad/s².
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
 _HEADING = 4.0  # gain, 1/s
-# The integrated error is bounded, in rad, so that a push or a fall does not wind up the integrator.
+# The integrator's input is limited to this error, rad, so that a push or a fall does not wind up the integrator.
 _MOST_ERROR = 0.05
 
 
 @dataclass(frozen=True)
 class Pendulum:
-    """A body on one axle of wheels, with still legs, at the default pose.
+    """Pendulum model of a robot on one axle of wheels: a rigid body at the default pose.
 
-    ``mass`` in kg and ``inertia`` about the axle in kg·m² exclude the wheels. ``height`` is the height of the centre of
-    mass over the axle, m, and ``lean`` the pitch at which the centre is above the axle, rad, positive for forward and
+    ``mass``, kg, and ``inertia`` about the axle, kg·m², exclude the wheels. ``height`` is the distance of the centre of
+    mass from the axle, m. ``lean`` is the pitch at which the centre of mass is above the axle, rad, positive for nose
     down. ``rolling`` is the resistance of the wheels to rolling, kg: their mass, and their inertia over the radius
-    squared. ``radius`` of the wheels and ``track`` between the outermost contacts are in m, ``gravity`` is in m/s².
+    squared. ``radius`` is the wheel radius, m, and ``track`` is the distance between the outermost contacts, m.
+    ``gravity`` is in m/s².
     """
 
     mass: float
@@ -49,25 +50,25 @@ class Pendulum:
 
     @property
     def pole(self) -> float:
-        """The rate at which the body falls at a constant speed of the wheels relative to the body, 1/s."""
+        """The unstable pole of the pendulum, 1/s, while the wheels have a constant speed relative to the body."""
         return math.sqrt(self.mass * self.gravity * self.height / self._inertia)
 
     @property
     def _coupling(self) -> float:
-        """Resistance of body and wheels together to rolling, kg·m."""
+        """The coupling coefficient between the pitch acceleration and the rolling of body and wheels, kg·m."""
         return self.mass * self.height + (self.mass + self.rolling) * self.radius
 
     @property
     def _inertia(self) -> float:
-        """Inertia against pitching on wheels that turn with the body, kg·m²."""
+        """The pitch inertia of the robot while the wheels turn with the body, kg·m²."""
         return self.inertia + self.mass * self.height * self.radius + self._coupling * self.radius
 
     def linear(self) -> tuple[Array, Array]:
-        """Return A (4, 4) and B (4, 1) of the state [position, pitch, speed, pitch rate], linearised at the lean.
+        """Return the matrices A (4, 4) and B (4, 1) of the model with the state [position, pitch, speed, pitch rate].
 
-        The input u is the acceleration of the wheels relative to the body, so the armature cancels. With the pitch θ
-        and the axle's speed v = r (w + θ'): ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``,
-        where m_w is ``rolling``.
+        The model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative to the
+        body, so the armature cancels. With the pitch θ and the axle's speed v = r (w + θ'): ``I θ'' + m h v' = m g h θ
+        - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``, where m_w is ``rolling``.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -77,9 +78,9 @@ class Pendulum:
         return a, b
 
     def gains(self, step_dt: float) -> Array:
-        """Return the optimal gains K (4,) of u = -K [position, pitch, speed, pitch rate] in discrete time."""
+        """Return the LQR gains K (4,) of the feedback u = -K [position, pitch, speed, pitch rate] in discrete time."""
         a, b = self.linear()
-        # The exponential of the extended matrix holds the discrete A and B in its upper rows (zero-order hold).
+        # The upper rows of the matrix exponential contain the discrete matrices A and B (zero-order hold).
         whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
         a, b = whole[:4, :4], whole[:4, 4:]
         cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
@@ -89,7 +90,7 @@ class Pendulum:
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     """Return the pendulum model of a robot at its default pose without randomisation, and the robot's anatomy.
 
-    A robot that does not stand on driven wheels of one axle, which roll in one direction, raises ConfigError.
+    The function raises ConfigError unless the robot stands on driven, parallel wheels of one axle.
     """
     robot, model = env.scene.robot, env.scene.model
     data = at_default(model, robot)
@@ -123,7 +124,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
 
 
 def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
-    """Return the inertia of bodies about an axis through a point, or through each body's own centre, kg·m²."""
+    """Return the inertia of bodies, kg·m², about an axis through a point or through each body's centre of mass."""
     total = 0.0
     for body in bodies:
         along = data.ximat[body].reshape(3, 3).T @ axis
@@ -135,16 +136,18 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
 
 
 class Reference:
-    """An LQR balancer as a policy. The balancer reads the state without noise and acts through the task's actions.
+    """An LQR balancer with a policy's interface. The balancer reads the exact state and outputs the task's actions.
 
     The target of a wheel is ``w + u / b``: the speed w, the optimal acceleration u, and the ``bandwidth`` b of the
-    wheels' drive in 1/s. A difference between left and right turns the robot to the commanded heading. All other joints
-    stay at their default positions. The position target moves at the commanded speed, so errors do not accumulate.
+    wheels' drive in 1/s. A speed difference between the left and the right wheels turns the robot to the commanded
+    heading. All joints but the wheels stay at their default positions. The position target moves at the commanded
+    speed, so speed errors do not accumulate to a position error.
 
-    An integrator estimates the lean at which this robot balances. The centre of mass, a wrench, and the slope of the
-    ground shift the lean at which the robot balances. The integrator adds up the pitch acceleration that the linear
-    model does not explain, with the time constant of the pole. The error is 0 in balance, so the position has no
-    offset. Commands do not wind up the integrator, because the model explains their effect.
+    An integrator estimates the pitch (lean) at which the robot balances. This lean depends on the centre of mass, on
+    external forces, and on the slope of the ground. The integrator sums the pitch acceleration that the linear model
+    does not predict, with the time constant of the unstable pole. The integrated error is 0 in balance, so the position
+    has no steady-state error. Commands do not wind up the integrator, because the model predicts the effect of
+    commands.
     """
 
     name = "reference"
@@ -159,10 +162,10 @@ class Reference:
         names = [wheel.joint for wheel in wheels]
         self._wheels = torch.tensor([robot.joint_names.index(name) for name in names], device=device)
         self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
-        # The sign of each wheel's speed in a left turn depends on the side of the wheel.
+        # In a left turn, the sign of a wheel's speed depends on the side of the wheel.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
-        # The bandwidth of the wheels' drive, 1/s: damping over armature, at most one per control step.
+        # The drive's bandwidth, 1/s, is the damping divided by the armature, but at most one per control step.
         robot = env.scene.robot
         ids = [robot.joint_names.index(name) for name in names]
         damping = robot.data.default_joint_damping[0, ids].mean()
@@ -177,7 +180,7 @@ class Reference:
         self._before = torch.zeros(3, env.num_envs, device=device)
 
     def describe(self) -> dict[str, Any]:
-        """Return the model and the gains for JSON."""
+        """Return the pendulum model and the LQR gains as a dictionary for JSON."""
         model = {"pendulum": asdict(self.pendulum), "pole_per_s": self.pendulum.pole, "gains": self.gains.tolist()}
         return {**model, "integrator_per_s": self.pendulum.pole, "bandwidth_per_s": self.bandwidth}
 
@@ -198,7 +201,7 @@ class Reference:
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
         error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
         wheel = speed - (error @ self._k) / self.bandwidth
-        # The heading error is wrapped, so that the robot always turns the shorter way.
+        # Wrap the heading error to ±π, so that the robot always turns in the shorter direction.
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
         targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs
@@ -207,10 +210,9 @@ class Reference:
         return self._actions(targets)
 
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        """Integrate one control step and return the lean at which each robot balances, rad, (N,).
+        """Update the integrator by one control step, and return the pitch at which each robot balances, rad, (N,).
 
-        ``fresh`` (N,) says whether an episode starts. ``state`` (3, N) has the pitch, the pitch rate, and the wheel
-        speed.
+        ``fresh`` (N,) is true if an episode starts. ``state`` (3, N) contains pitch, pitch rate, and wheel speed.
         """
         a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt
@@ -223,7 +225,7 @@ class Reference:
         return self.pendulum.lean + self._lean
 
     def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions for given wheel speeds; all other joints stay at their default positions."""
+        """Return the raw actions for given wheel speeds, with the default position as target of all other joints."""
         data = self._env.scene.robot.data
         limits = data.soft_joint_vel_limits[:, self._wheels]
         speeds = data.default_joint_vel.clone()
@@ -233,7 +235,7 @@ class Reference:
 
 
 def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:
-    """Return the task's action terms in order with their joints; ConfigError if they cannot set the wheels' speeds."""
+    """Return the task's action terms and their joints. Raise ConfigError if no term can set the wheels' speeds."""
     found: list[tuple[JointAction, torch.Tensor]] = []
     manager, names = env.action_manager, env.scene.robot.joint_names
     for name in manager.active_terms:

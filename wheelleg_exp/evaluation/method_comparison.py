@@ -1,7 +1,7 @@
 """Compare evaluations: one method over several training seeds, and one method against another.
 
 The module computes bootstrap intervals over training seeds, the interval of a difference between two methods, and
-statistical tests of episodes. ``verdict`` and ``push_verdict`` summarise the differences in words.
+statistical tests of episodes. The functions ``verdict`` and ``push_verdict`` summarise the differences in sentences.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ALPHA = 0.05  # significance level
 
 @dataclass(frozen=True)
 class Interval:
-    """A value with the ends of its 95 % confidence interval.
+    """A value with the lower and the upper end of its 95 % confidence interval.
 
     ``floor`` is the noise floor: the difference of two such values that chance exceeds once in 20 times.
     """
@@ -37,17 +37,17 @@ class Interval:
 
 @dataclass(frozen=True)
 class Test:
-    """The result of a statistical test of two columns of episodes.
+    """The result of a statistical test that compares the episodes of two methods.
 
     Attributes:
-        test: ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
+        test: name of the test, ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
         p: two-sided probability of a difference at least this large by chance.
         pairs: number of pairs; without pairs, the number of episodes of the smaller group.
         untied: number of pairs that differ; None without pairs.
         difference: second minus first: of shares, the median of the pairs' differences, or of medians without pairs.
         effect: effect size of the test from -1 to 1, positive if the second is larger: the rank-biserial correlation
-            (Kerby, 2014), or the difference of shares. Its sign can differ from the median's, if many episodes differ
-            slightly one way and some strongly the other way.
+            (Kerby, 2014), or the difference of shares. The signs of the effect size and of the median difference can
+            disagree, if many small differences and a few large differences have opposite signs.
     """
 
     test: str
@@ -60,7 +60,7 @@ class Test:
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """One metric over several trainings that differ by their seed; ``mean`` has an interval clustered by training."""
+    """One metric of trainings that differ only in their seed. The interval of ``mean`` is clustered by training."""
 
     metric: str
     unit: str
@@ -72,12 +72,13 @@ class OverSeeds:
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference of two methods in one metric.
+    """The difference between two methods in one metric.
 
     Attributes:
         metric: ``group/metric``.
         unit: unit of all numbers.
-        better: ``higher``, ``lower``, or empty. It is empty for worst values, whose differences cannot be tested.
+        better: ``higher``, ``lower``, or empty. The text is empty for maxima over episodes, because no test is valid
+            for a maximum.
         first: mean over the trainings of the method in question.
         second: mean over the trainings of the other method.
         interval: first minus second, with its bootstrap interval.
@@ -96,22 +97,22 @@ class Difference:
 
     @property
     def outcome(self) -> str:
-        """``better`` or ``worse`` if the first method's difference is significant, else empty.
+        """The text ``better`` or ``worse`` if the two methods differ significantly, or else an empty text.
 
-        The corrected test must be significant and agree with the sign of the means. Without a test, the interval of the
-        difference must exclude 0.
+        A difference is significant if the corrected p value is small enough, and the test has the same sign as the
+        difference of the means. For a metric without a test, the confidence interval of the difference must exclude 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
-        # There is no outcome if the median or the ranks contradict the means: a few episodes then decide the means.
+        # If the median or the ranks contradict the means, a few extreme episodes decide the means: no method is better.
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
             return ""
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the difference for JSON, with None for NaN and inf."""
+        """Return the difference as a dictionary for JSON, in which None replaces NaN and inf."""
         return plain({**asdict(self), "outcome": self.outcome})
 
 
@@ -119,30 +120,31 @@ class Difference:
 
 
 def interquartile_mean(values: Array) -> float:
-    """Return the mean of the middle half of the values; NaN without values.
+    """Return the interquartile mean (mean of the middle half) of the values; NaN without values.
 
-    A quarter of the values, rounded down, is dropped at either end. With fewer than four values, no value is dropped.
-    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (2021).
+    The function drops the lowest and the highest quarter of the values, each rounded down. With fewer than four values,
+    no value is dropped. The method is from Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical
+    Precipice (2021).
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan
 
 
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
-    """Return the mean of a metric over S training seeds with its percentile bootstrap interval, clustered by seed.
+    """Return the mean of a metric over S training seeds with a percentile bootstrap interval, clustered by seed.
 
-    ``values`` (S,) is the metric of each seed. ``drawn`` has the bootstrap values of each seed's episodes, (B,) each.
-    With one seed, the interval covers the seed's episodes only, and does not describe another training.
+    ``values`` (S,) is the metric of each seed. ``drawn`` contains B bootstrap values of the metric for each seed, (B,)
+    each. With one seed, the interval covers only the variation between episodes, not between trainings.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
 
 
 def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> Array:
-    """Return means over training seeds drawn with replacement, each with its own draw of episodes, (B,).
+    """Return B means over resampled training seeds and over resampled episodes of each seed, (B,).
 
-    The episodes of one seed are not independent draws of the trained method. So whole seeds are drawn, and then the
-    episodes of each seed: Davison and Hinkley, Bootstrap Methods (1997), 3.8. The draws of a single seed keep their
-    order.
+    The episodes of one training seed are not independent samples of the method. So the function first resamples seeds,
+    and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). With a single seed,
+    the order of the bootstrap values does not change.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -150,7 +152,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # np.resize repeats shorter columns, but `places` only indexes their original part.
+    # np.resize repeats the values of shorter columns, but `places` never selects the repeated values.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -159,7 +161,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
 
 
 def interval(value: float, drawn: Array, generator: np.random.Generator) -> Interval:
-    """Return a value with the percentile interval and the noise floor of its bootstrap values, (B,)."""
+    """Return a value with a percentile interval and a noise floor, both computed from B bootstrap values, (B,)."""
     finite = drawn[np.isfinite(drawn)]
     if not len(finite):
         return Interval(value, math.nan, math.nan, math.nan)
@@ -167,10 +169,10 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 
 
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
-    """Return the 95 % quantile of the difference between two independent draws of bootstrap values, (B,).
+    """Return the 95 % quantile of the absolute difference between two random bootstrap values.
 
-    If one method is evaluated twice with as many seeds and episodes, the two values differ by more once in 20 times.
-    For normal values the noise floor is 1.96 √2 standard errors.
+    If the same method is evaluated twice with equal numbers of seeds and episodes, the two results differ by more than
+    the noise floor once in 20 times. For normally distributed values, the noise floor is 1.96 √2 standard errors.
     """
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))
@@ -180,10 +182,10 @@ def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
 
 
 def mcnemar(first: Array, second: Array) -> Test:
-    """Return the exact McNemar test of paired outcomes, 1 or 0, of two policies on the same scenarios.
+    """Return the exact McNemar test of paired outcomes, 1 or 0, of two policies in equal scenarios.
 
-    Only scenarios in which exactly one policy succeeded count. By chance both cases are equally likely: the two-sided
-    binomial test of Dwass (1955), McNemar (1947).
+    The test uses only scenarios in which exactly one of the two policies succeeded. By chance both cases are equally
+    likely: the two-sided binomial test of Dwass (1955), McNemar (1947).
     """
     won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
     p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
@@ -192,7 +194,7 @@ def mcnemar(first: Array, second: Array) -> Test:
 
 
 def wilcoxon(first: Array, second: Array) -> Test:
-    """Return the Wilcoxon signed-rank test of finite errors of two policies on the same scenarios, without ties."""
+    """Return the Wilcoxon signed-rank test of paired finite errors of two policies. Equal pairs are dropped."""
     difference = np.asarray(second, dtype=np.float64) - first
     untied = int(np.count_nonzero(difference))
     p = float(stats.wilcoxon(difference, zero_method="wilcox").pvalue) if untied else 1.0
@@ -204,16 +206,16 @@ def wilcoxon(first: Array, second: Array) -> Test:
 
 
 def fisher(first: Array, second: Array) -> Test:
-    """Return Fisher's exact test of outcomes, 1 or 0, of two policies on different scenarios."""
+    """Return Fisher's exact test of the unpaired outcomes, 1 or 0, of two policies."""
     table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
     share, p = float(second.mean() - first.mean()), float(stats.fisher_exact(table).pvalue)
     return Test("Fisher", p, min(len(first), len(second)), None, share, share)
 
 
 def mann_whitney(first: Array, second: Array) -> Test:
-    """Return the Mann-Whitney test of errors of two policies on different scenarios."""
+    """Return the Mann-Whitney test of the unpaired errors of two policies."""
     found = stats.mannwhitneyu(second, first)
-    # scipy returns NaN if all values are equal.
+    # scipy's Mann-Whitney test returns NaN if all values are equal.
     p = 1.0 if len(np.unique(np.concatenate((first, second)))) == 1 else float(found.pvalue)
     effect = float(2.0 * found.statistic / (len(first) * len(second)) - 1.0)
     median = float(np.median(second) - np.median(first))
@@ -221,10 +223,10 @@ def mann_whitney(first: Array, second: Array) -> Test:
 
 
 def holm(tests: Mapping[str, float]) -> dict[str, float]:
-    """Return the p values by name, corrected for the number of tests (Holm, 1979)."""
+    """Return the p values by name, corrected for the number of tests with Holm's method (1979)."""
     ordered = sorted(tests, key=lambda name: tests[name])
     corrected, least = {}, 0.0
-    # Corrected p values never decrease along the sorted tests.
+    # In Holm's method, the corrected p values must not decrease when the tests are sorted by p value.
     for rank, name in enumerate(ordered):
         least = max(least, min(1.0, (len(ordered) - rank) * tests[name]))
         corrected[name] = least
@@ -235,7 +237,7 @@ def holm(tests: Mapping[str, float]) -> dict[str, float]:
 
 
 def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
-    """Return every metric over trainings that differ by their seed; RunDirectoryError if their scenarios differ."""
+    """Return the mean of every metric over training seeds. Raise RunDirectoryError if the scenarios differ."""
     require_same_scenarios(evaluations)
     found = []
     for metric in _shared(evaluations):
@@ -247,10 +249,10 @@ def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
 
 
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
-    """Return the differences of two methods in every metric that both have; RunDirectoryError if scenarios differ.
+    """Return the difference of two methods in each common metric. Raise RunDirectoryError if their scenarios differ.
 
-    Each method has one evaluation per training seed. Episodes with the same start are pairs. Several trainings of a
-    method count with their mean in each scenario.
+    Each method has one evaluation per training seed. Two episodes with equal start states are a pair. For several
+    trainings of a method, the value of a scenario is the mean over these trainings.
     """
     everyone = [*first, *second]
     require_same_scenarios(everyone)
@@ -260,7 +262,7 @@ def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> li
 
 
 def paired(evaluations: Sequence[Evaluation], test: str) -> bool:
-    """Return whether the episodes of a test had the same starts in all evaluations."""
+    """Return whether the episodes of a test had equal start states in all evaluations."""
     return len({evaluation.starts_sha256.get(test) for evaluation in evaluations}) == 1
 
 
@@ -273,7 +275,7 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a nested value for JSON, with None for NaN and inf."""
+    """Return a nested value for JSON, in which None replaces NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -320,7 +322,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     if are_pairs:
         kept = np.logical_and.reduce([metric.kept(one.episodes) for one in (*first, *second)])
         one, other = (np.mean([each.episodes[name][kept] for each in group], axis=0) for group in (first, second))
-        # Pairs stay aligned: an episode is dropped from both sides if one side is not finite.
+        # Drop an episode of both methods if the value of one method is not finite, so that pairs stay aligned.
         finite = np.isfinite(one) & np.isfinite(other)
         one, other = one[finite], other[finite]
     else:
@@ -332,7 +334,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     return wilcoxon(other, one) if are_pairs else mann_whitney(other, one)
 
 
-# --- comparisons in words ---
+# --- functions that describe comparisons in words ---
 
 _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 
@@ -353,7 +355,7 @@ def verdict(found: Sequence[Difference], first: str, second: str, trainings: Seq
 
 
 def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
-    """Return one line that says whether a method survives harder pushes than another; empty without push tests.
+    """Return a sentence about which of two methods survives harder pushes; an empty text without push tests.
 
     A method is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
     """

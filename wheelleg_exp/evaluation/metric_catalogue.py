@@ -1,7 +1,7 @@
 """Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
 
 ``POSTURE`` and ``MOTION`` declare metrics with one row each: a formula for the column of episodes, its unit, and its
-reduction. ``metrics_of`` returns the metrics of every test.
+reduction. The function ``metrics_of`` returns the metrics of a given test.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Rows = Callable[[Mapping[str, Array]], Array]
 LEVEL = 0.95  # confidence level
 
 
-# --- reductions over episodes ---
+# --- functions that reduce the values of episodes to one number ---
 
 
 def mean(columns: Sequence[Array]) -> Array:
@@ -35,7 +35,7 @@ def mean(columns: Sequence[Array]) -> Array:
 
 
 def quadratic(columns: Sequence[Array]) -> Array:
-    """Return the root mean square over episodes. All episodes have the same weight."""
+    """Return the root mean square over episodes. All episodes have equal weight, whatever their length."""
     return np.sqrt(np.square(columns[0]).mean(axis=-1))
 
 
@@ -64,9 +64,9 @@ def skill(columns: Sequence[Array]) -> Array:
 
 
 def area(columns: Sequence[Array], band: float) -> Array:
-    """Return the share of cells without a fall whose mean errors are within the band.
+    """Return the share of commands for which no robot fell and the mean tracking errors are within the tolerance band.
 
-    ``columns`` holds the cell, and the errors of both axes as shares of the command; inf if the episode fell.
+    ``columns`` contains the index of each episode's command, and the relative errors of both axes; inf after a fall.
     """
     cell, *errors = columns
     passed = []
@@ -76,15 +76,15 @@ def area(columns: Sequence[Array], band: float) -> Array:
             count = mine.sum(axis=-1)
             sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
             good = np.all([total <= band * count for total in sums], axis=0)
-            passed.append(np.where(count > 0, good, np.nan))  # A bootstrap resample can lack a command.
+            passed.append(np.where(count > 0, good, np.nan))  # A bootstrap resample can lack episodes of a command.
         return np.nanmean(passed, axis=0)
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Return the lowest value of a statistic over cells. The columns are the cell and the value of each episode."""
+    """Return the lowest statistic over commands. The columns are the command's index and the value of each episode."""
     cell, value = columns
     with warnings.catch_warnings():
-        # A bootstrap resample can lack a command of the grid, and numpy warns about the mean of no values.
+        # A bootstrap resample can contain no episode of a command, and numpy warns about the mean of an empty array.
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
 
@@ -93,9 +93,9 @@ worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, o
 
 
 def highest(columns: Sequence[Array], share: float) -> Array:
-    """Return the number of levels, counted from the first level, that have at least this share of successes.
+    """Return the number of consecutive difficulty levels, from the first, whose success rate is at least ``share``.
 
-    The columns are the level and the success of each episode.
+    The columns contain the level and the success (1 or 0) of each episode.
     """
     level, success = columns
     passed, count = np.ones(level.shape[:-1], dtype=bool), np.zeros(level.shape[:-1])
@@ -107,7 +107,7 @@ def highest(columns: Sequence[Array], share: float) -> Array:
     return count
 
 
-# --- selections of episodes ---
+# --- functions that select the episodes of a metric ---
 
 
 def everything(rows: Mapping[str, Array]) -> Array:
@@ -131,17 +131,17 @@ def surviving(rows: Mapping[str, Array]) -> Array:
 
 
 def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
-    """Return the mask of the episodes in which a column differs from a value."""
+    """Return the mask of the episodes whose value in the column differs from the given value."""
     return rows[column] != value
 
 
 def matching(rows: Mapping[str, Array], **values: Any) -> Array:
-    """Return the mask of the episodes whose columns have these values."""
+    """Return the mask of the episodes whose columns have the given values."""
     return np.logical_and.reduce([rows[name] == value for name, value in values.items()])
 
 
 def in_cells(rows: Mapping[str, Array], start: str = "", end: str = "") -> Array:
-    """Return the mask of the episodes of all cells whose names have this prefix and this suffix."""
+    """Return the mask of the episodes whose scenario's name has the given prefix and suffix."""
     cells = rows["cell_name"].astype(str)
     return np.char.startswith(cells, start) & np.char.endswith(cells, end)
 
@@ -172,7 +172,7 @@ class Metric:
     rows: Rows = everything
 
     def kept(self, episodes: Mapping[str, Array]) -> Array:
-        """Return the mask of the metric's episodes among all episodes, (E,) bool."""
+        """Return the mask of the episodes that the metric uses, (E,) bool."""
         mine = np.asarray(episodes["test"] == self.test)
         rows = {name: column[mine] for name, column in episodes.items()}
         kept = self.rows(rows)
@@ -182,13 +182,13 @@ class Metric:
         return mine
 
     def values(self, episodes: Mapping[str, Array]) -> list[Array]:
-        """Return the columns of the metric's episodes, (E,) each."""
+        """Return the values of the episodes that the metric uses, (E,) per column."""
         kept = self.kept(episodes)
         return [episodes[name][kept] for name in self.columns]
 
 
 def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:
-    """Return B bootstrap values of a metric. Equal seeds draw the same episodes."""
+    """Return B bootstrap values of a metric. Equal seeds resample equal episodes."""
     columns = metric.values(episodes)
     count = len(columns[0])
     if not count:
@@ -210,14 +210,14 @@ def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: 
 
 
 def percentiles(drawn: Array) -> tuple[float, float]:
-    """Return the ends of the 95 % percentile interval of bootstrap values, (B,)."""
+    """Return the lower and the upper end of the 95 % percentile interval of B bootstrap values, (B,)."""
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.percentile(drawn, (tail, 100 - tail))
     return float(low), float(high)
 
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return the metrics of a test whose columns exist. The composed protocol has the bands and pass limits."""
+    """Return the metrics of a test whose columns exist. The config ``protocol`` has tolerance bands and limits."""
     options = protocol.get(test) or {}
     if test == "walk":
         found = _of_walking(columns, float(options.get("band", 0.1)))
@@ -236,7 +236,7 @@ def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 class Measure(NamedTuple):
-    """A column of episodes, (N,), and its metric. A formula returns None if the robot or the task has no such value."""
+    """A formula for one value per episode, (N,), and its metric. A formula returns None if the value does not exist."""
 
     column: str
     unit: str
@@ -254,7 +254,7 @@ POSTURE = (
     Measure("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower", lambda m: m.rms(m.made.ang[..., 1])),
     Measure("lean_rad", "rad", mean, "", lambda m: m.mean(m.made.pitch)),
 )
-# In `work`, index 0 is gross work, 1 is net work, 2 is positive work, and 3 is the peak of the positive power.
+# The array `work` contains gross work, net work, positive work, and the peak of the positive power, in this order.
 MOTION = (
     Measure("wheels_down_share", "", mean, "higher", lambda m: m.mean(m.made.down.all(dim=-1)) if m.wheels else None),
     Measure("leg_symmetry_rms_rad", "rad", quadratic, "lower", lambda m: m.leg_asymmetry()),
@@ -280,7 +280,7 @@ MOTION = (
 
 
 def measured(motion: Motion, measures: Sequence[Measure] = (*POSTURE, *MOTION)) -> Columns:
-    """Return the columns that the formulas of the catalogue compute from a motion, (N,) each."""
+    """Return the columns that the catalogue's formulas compute from the motion of N episodes, (N,) each."""
     found = {measure.column: measure.formula(motion) for measure in measures}
     return {name: column for name, column in found.items() if column is not None}
 

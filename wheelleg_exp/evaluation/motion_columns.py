@@ -1,7 +1,7 @@
 """Columns of standing, walking, and stepping episodes: one number per episode.
 
-The columns measure drift, errors and skill on a grid of commands, responses to command steps, and the motors' effort.
-``Motion`` has quantities from which ``metric_catalogue`` computes further columns.
+The columns describe drift, tracking errors on a grid of commands, responses to command steps, and motor effort. The
+class ``Motion`` provides quantities from which ``metric_catalogue`` computes further columns.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from wheelleg_exp.evaluation.protocol_options import Steps, Walk
 from wheelleg_exp.evaluation.trajectories import Trajectories, at, largest, last_exit, mean, rms, slope, total
 
 Columns = dict[str, torch.Tensor]
-_SPEED_HZ = 10.0  # Power above this frequency is chatter: a robot of this size moves at a few hertz.
+_SPEED_HZ = 10.0  # Signal power above this frequency counts as chatter: a robot moves at a few hertz.
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of N episodes after settling, with the quantities that several metrics of the catalogue use.
+    """The motion of N episodes after the settling time, with quantities that several metrics use.
 
-    ``made`` are the trajectories, ``settle_s`` the settling time in s, and ``target`` the base's target height in m.
+    ``made`` contains the trajectories, ``settle_s`` is the settling time, s, and ``target`` the base's target height,
+    m.
     """
 
     made: Trajectories
@@ -34,7 +35,7 @@ class Motion:
 
     @cached_property
     def counted(self) -> torch.Tensor:
-        """The mask of counted steps, (T, N) bool."""
+        """The mask of the steps that are used for metrics, (T, N) bool."""
         return self.made.counted(self.settle_s)
 
     @property
@@ -44,12 +45,12 @@ class Motion:
 
     @property
     def duration(self) -> torch.Tensor:
-        """The time of the counted steps, s, (N,)."""
+        """The total duration of the counted steps in each episode, s, (N,)."""
         return self.counted.sum(dim=0) * self.made.dt
 
     @property
     def distance(self) -> torch.Tensor:
-        """The length of each path in the plane, m, (N,)."""
+        """The length of each robot's path in the horizontal plane, m, (N,)."""
         way = torch.zeros_like(self.made.height)
         way[1:] = torch.linalg.vector_norm(self.made.pos[..., :2].diff(dim=0), dim=-1)
         return self.total(way)
@@ -66,48 +67,48 @@ class Motion:
         return self.made.torque[..., torch.cat(list(self.parts.groups.values()))]
 
     def mean(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the mean of (T, N, ...) over counted steps and trailing axes, (N,)."""
+        """Return the mean of values (T, N, ...) over the counted steps and all trailing axes, (N,)."""
         return mean(values, self.counted)
 
     def rms(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the root mean square of (T, N, ...) over counted steps and trailing axes, (N,)."""
+        """Return the root mean square of values (T, N, ...) over the counted steps and all trailing axes, (N,)."""
         return rms(values, self.counted)
 
     def total(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the sum of (T, N) over counted steps, (N,)."""
+        """Return the sum of values (T, N) over the counted steps, (N,)."""
         return total(values, self.counted)
 
     def largest(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the largest value of (T, N) over counted steps, (N,)."""
+        """Return the largest of the values (T, N) over the counted steps, (N,)."""
         return largest(values, self.counted)
 
     def height_error(self) -> torch.Tensor | None:
-        """Return the RMS distance of the base from its target height, m, (N,); None without a target height."""
+        """Return the RMS error of the base's height from the target height, m, (N,); None without a target height."""
         return None if self.target is None else self.rms(self.made.height - self.target)
 
     def leg_asymmetry(self) -> torch.Tensor | None:
-        """Return the RMS difference between left leg joints and mirrored right leg joints, rad, (N,)."""
+        """Return the RMS difference between positions of left leg joints and mirrored right leg joints, rad, (N,)."""
         parts, joints = self.parts, self.made.joint_pos
         left = len(parts.left)
         return self.rms(joints[..., parts.left] * parts.sign - joints[..., parts.right]) if left else None
 
     def action_change(self, order: int) -> torch.Tensor:
-        """Return the mean size of the derivative of this order of the action's components, 1/s^order, (N,)."""
+        """Return the mean absolute time derivative of the given order of the actions, 1/s^order, (N,)."""
         change, counted = self.made.action.double(), self.counted
         for _ in range(order):
             change, counted = change.diff(dim=0), counted[1:] & counted[:-1]
         return mean(change.abs(), counted) / self.made.dt**order
 
     def torque_change(self) -> torch.Tensor:
-        """Return the RMS change of the driven joints' torques per control step, N·m, (N,)."""
+        """Return the RMS change of the driven joints' torques from one control step to the next, N·m, (N,)."""
         return rms(self.driven_torque.diff(dim=0), self.counted[1:] & self.counted[:-1])
 
 
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
-    """Return whether each episode survived to the end and to given moments, and when it failed; (N,) each.
+    """Return whether each episode survived until the end and until the given times, and its time of failure; (N,) each.
 
-    ``time_to_failure_s`` is the horizon for an episode without a failure. Therefore the mean of this column is a lower
-    bound of the true mean.
+    For an episode without a failure, ``time_to_failure_s`` is the episode length. So the mean of ``time_to_failure_s``
+    is a lower bound of the true mean time to failure.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -120,10 +121,10 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 
 
 def drift(made: Trajectories, settle_s: float) -> Columns:
-    """Return the drift of each robot from its pose after settling; (N,) each.
+    """Return the drift of each robot from its pose at the end of the settling time; (N,) each.
 
     ``drift_max_m`` is max‖xy - xy(settle)‖. ``drift_speed_m_s`` is the norm of the least-squares slope of xy.
-    ``yaw_drift_rad`` is max|yaw - yaw(settle)|, and ``yaw_drift_rad_s`` the absolute slope of the yaw.
+    ``yaw_drift_rad`` is max|yaw - yaw(settle)|, and ``yaw_drift_rad_s`` is the absolute least-squares slope of the yaw.
     """
     counted = made.counted(settle_s)
     from_there = made.pos[..., :2] - at(made.pos[..., :2], counted)
@@ -138,7 +139,7 @@ def drift(made: Trajectories, settle_s: float) -> Columns:
 
 
 def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
-    """Return errors and skill on both commanded axes; (N,) each.
+    """Return tracking errors and scores for both commanded axes, forward speed and yaw rate; (N,) each.
 
     With the command c and the velocity v in the base's axes, after settling:
 
@@ -168,8 +169,8 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
 def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
     """Return ``error_wheels_m_s``: the RMS error of the velocity over each wheel; (N,).
 
-    A point at a distance y to the left of the base is commanded to move at v - w y, with the commanded speed v and yaw
-    rate w. The result is empty for a robot without a forward direction.
+    A point at a distance y to the left of the base has the commanded velocity v - w y, where v is the commanded speed
+    and w the commanded yaw rate. The result is empty for a robot without a forward direction.
     """
     if parts.wheel_offsets is None:
         return {}
@@ -190,12 +191,12 @@ def errors(made: Trajectories, settle_s: float) -> Columns:
 
 
 def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
-    """Return the errors of steady velocities, and whether episodes are within the band; (N,) each.
+    """Return the steady-state velocity errors, and whether the errors are within the tolerance band; (N,) each.
 
-    ``off_<axis>`` is the absolute error of the mean velocity as a share of the command. If the command is 0, the grid's
-    smallest nonzero command replaces it. A fallen episode has inf. ``in_band`` is 1 if both are at most
-    ``options.band``, else 0. ``sign_<axis>`` is 1 if the robot moves in the commanded direction, and 0 if not or after
-    a fall.
+    ``off_<axis>`` is the absolute error of the mean velocity as a share of the command. For a zero command, the error
+    is a share of the grid's smallest nonzero command. After a fall, the error is inf. ``in_band`` is 1 if the errors of
+    both axes are at most ``options.band``, else 0. ``sign_<axis>`` is 1 if the robot did not fall and moves in the
+    commanded direction, else 0.
     """
     found: Columns = {}
     good = ~made.fell
@@ -211,7 +212,7 @@ def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
 
 
 def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Columns:
-    """Return the responses to three command steps; (N,) each, NaN after a fall or a missing response.
+    """Return the responses to three command steps, (N,) each; NaN if the robot fell or did not respond.
 
     * ``settle_s``: after the step 0 → c, the time until the velocity stays within the band around c;
     * ``overshoot``: largest velocity beyond c while driving, as a share of c;
@@ -219,9 +220,10 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     * ``stop_s``: after the step -c → 0, the time until the speed stays below the band;
     * ``stop_distance``: distance after that step along the previous heading, m, or the turned angle, rad.
 
-    ``asked`` is c of each episode, (N, 3). The stop columns only exist for robots that drove as commanded.
+    ``asked`` is the command c of each episode, (N, 3). The stop columns are NaN unless the robot drove as commanded.
 
-    ``<answer>_did`` is 1 if there is such a time, else 0. Columns end in ``_wz`` for turning and ``_vx`` for driving.
+    ``<answer>_did`` is 1 if the time ``<answer>`` exists, else 0. The names of columns end in ``_wz`` for turning and
+    in ``_vx`` for driving.
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
@@ -243,7 +245,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        # The way of each robot beyond its place at the stop command, (T, N), m or rad, is positive along -c.
+        # The displacement since the stop command, m or rad, (T, N), is positive in the previous direction of motion.
         heading = at(yaw, windows[2])
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()
@@ -253,11 +255,11 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
 
 
 def group_effort(motion: Motion) -> Columns:
-    """Return torques and saturation of each actuator group; (N,) each.
+    """Return the RMS torques and the saturation of each actuator group, (N,) each.
 
-    ``torque_rms_<group>`` is over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of the torques as
-    shares of each joint's effort limit. ``saturation_<group>`` is the share of physics steps at the limit, and
-    ``saturation_max_<group>`` the largest such share of a joint in the group.
+    ``torque_rms_<group>`` is the RMS torque over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of
+    the torques divided by the joints' effort limits. ``saturation_<group>`` is the share of physics steps at the effort
+    limit, and ``saturation_max_<group>`` is the largest of these shares among the group's joints.
     """
     columns: Columns = {}
     for name, joints in motion.parts.groups.items():
@@ -270,9 +272,9 @@ def group_effort(motion: Motion) -> Columns:
 
 
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the share of the power of (T, N, J) above 10 Hz, (N,); NaN for episodes that ended early.
+    """Return the share of the spectral power of signals (T, N, J) above 10 Hz, (N,); NaN for episodes that ended early.
 
-    The share of a constant signal is 0.
+    For a constant signal, the share above 10 Hz is 0.
     """
     whole = counted[-1]
     begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0

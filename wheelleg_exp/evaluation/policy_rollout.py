@@ -1,7 +1,7 @@
-"""Roll a policy through N episodes at once, without a reset.
+"""Run a policy in N episodes in parallel, without a reset.
 
-An episode that has ended is still simulated, but no longer counts. ``HeldCommand`` sets the task's velocity command;
-the other state of the command term does not change.
+An episode that has ended is still simulated, but its later steps are ignored. The class ``HeldCommand`` sets only the
+values of the task's velocity command, and no other state of the command term.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Replace the random draws of a velocity command term by fixed values; ConfigError for any other term."""
+    """Replaces the random draws of a velocity command by fixed values. Raises ConfigError for any other command."""
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
         if not isinstance(term, UniformVelocityCommand):
             expected = "a wheelleg_exp.mdp.commands.UniformVelocityCommand, or a subclass"
-            raise ConfigError(f"'{name}' is not a velocity command", key=f"env.commands.{name}", expected=expected)
+            raise ConfigError(f"'{name}' is not a velocity command term", key=f"env.commands.{name}", expected=expected)
         self._term = term
         self._held = torch.zeros(env.num_envs, 3, device=env.device)
         setattr(term, "draw", self._draw)  # noqa: B010
 
     @property
     def command(self) -> torch.Tensor:
-        """The requested velocities v_x, v_y in m/s and w_z in rad/s, (N, 3), before the term's rate limit."""
+        """The commanded velocities v_x, v_y in m/s and w_z in rad/s, (N, 3), before the command's rate limit."""
         return self._term.asked
 
     def hold(self, command: torch.Tensor) -> None:
-        """Set the requested velocities (N, 3), which resets do not change."""
+        """Set the commanded velocities (N, 3), which resets do not change."""
         self._held.copy_(command)
         self._draw(torch.arange(len(command), device=command.device))
 
@@ -53,16 +53,16 @@ Policy = Callable[[Mapping[str, Any]], torch.Tensor]
 Tell = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 
-# A rollout ends episodes for these reasons, in addition to the task's terminations.
+# An evaluation ends episodes for these reasons, in addition to the task's terminations.
 FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"
 
 
 class Rollout:
-    """Roll policies through scenarios in one environment, each time from the same starts.
+    """Runs policies in fixed scenarios, always from the same start states.
 
-    The environment comes from ``evaluation_env.build`` and has one row per scenario. ``endings`` names the causes that
-    can end an episode: the task's terminations, then the causes that the rollout adds. ``starts`` is the sha256 of the
-    last start states and of the randomised values.
+    The environment comes from ``evaluation_env.build`` and simulates one robot per scenario. ``endings`` names the
+    causes that can end an episode: the task's terminations, then the causes that the rollout adds. ``starts`` is the
+    sha256 of the start states and randomised values of the last rollout.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
@@ -77,7 +77,7 @@ class Rollout:
         self.endings = (*env.termination_manager.active_terms, FALLEN, NOT_FINITE, NOT_FINITE_ACTION)
 
     def start(self, seed: int) -> Observations:
-        """Reset every environment with the streams of ``seed``, and return the first observations."""
+        """Reset every environment with the random streams of ``seed``, and return the first observations."""
         self._held.hold(self._commands[:, 0])
         observations, _ = self.env.reset(seed)
         self._meter.start()
@@ -91,10 +91,10 @@ class Rollout:
 
     @torch.inference_mode()
     def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:
-        """Roll a policy from the starts of ``seed`` to the horizon, or until every episode has ended.
+        """Run a policy from the start states of ``seed`` until the horizon, or until every episode has ended.
 
         The policy maps observations by group to raw actions (N, A). ``tell`` is called with the number of finished
-        steps and of all steps. ``disturb`` is called before each control step with the number of the step.
+        steps and the number of all steps. ``disturb`` is called with the step number before each control step.
         """
         env = self.env
         observations = self.start(seed)
@@ -106,14 +106,14 @@ class Rollout:
         for step in range(self.steps):
             actions = policy(observations)
             numbers = torch.isfinite(actions).all(dim=1)
-            # Ended episodes and NaN actions get zeros, because these robots are still simulated.
+            # Ended episodes and robots with NaN actions get zero actions, because their simulation continues.
             actions = torch.where((alive & numbers).unsqueeze(1), actions, 0.0)
             if disturb is not None:
                 disturb(step)
             command = self._held.command.clone()
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
-                # The command changes before the step, so that the observation of the step contains the command.
+                # Change the command before the step, so that the step's observation contains the new command.
                 self._held.hold(self._commands[:, segment])
             self._meter.begin(step > self._settle_steps)
             observations, *_ = env.step(actions)
@@ -128,10 +128,10 @@ class Rollout:
         return made
 
     def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return which episodes failed in this step, and the index of the cause in ``endings``."""
+        """Return the mask of the episodes that failed in this step, and the indices of the causes in ``endings``."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
-        # If a state is NaN or inf, the manager terminates the environment although no termination term has fired.
+        # If a simulation state is NaN or inf, the manager terminates the environment without a termination term.
         not_finite = manager.terminated & ~manager.fired.any(dim=0)
         not_finite = not_finite | env.scene.unstable()
         failed = manager.terminated | tilted | not_finite | ~numbers

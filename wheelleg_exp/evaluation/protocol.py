@@ -1,4 +1,4 @@
-"""Evaluate a policy by a protocol, test by test, each test in its own environment."""
+"""Evaluate a policy by a protocol. Each test of the protocol has its own environment."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Subject:
-    """The policy to evaluate with its task, its protocol, and the seed of its starts."""
+    """The policy to evaluate, with the task, the protocol, and the seed of the start states."""
 
     env_cfg: Mapping[str, Any]
     mjcf: Path
@@ -41,16 +41,16 @@ class Subject:
     tell: Tell | None = None
 
     def cfg(self, table: Scenarios) -> dict[str, Any]:
-        """Return the ``env`` section of a table's episodes."""
+        """Return the config section ``env`` for the episodes of a scenario table."""
         protocol = self.protocol
         return evaluation_cfg(self.env_cfg, protocol, table.size, table.horizon_s, protocol.ground)
 
     def rollout(self, table: Scenarios, cfg: Mapping[str, Any]) -> Rollout:
-        """Build the environment of a table's episodes."""
+        """Build the environment for the episodes of a scenario table."""
         return Rollout(build(cfg, self.mjcf, self.seed), table, self.protocol)
 
     def teller(self, test: str) -> RolloutTell | None:
-        """Return the progress callback of one test."""
+        """Return the progress callback for one test of the protocol."""
         tell = self.tell
         return None if tell is None else lambda done, of: tell(test, done, of)
 
@@ -68,11 +68,12 @@ def evaluate(
     seed: int | None = None,
     tell: Tell | None = None,
 ) -> Evaluation:
-    """Roll a policy through the scenarios of a protocol and measure it.
+    """Run a policy in the scenarios of an evaluation protocol and compute the protocol's metrics.
 
-    ``env_cfg`` and ``protocol`` are composed and plain. ``make_policy`` makes, for an environment, a callable from
-    observations by group to raw actions (N, A). If the callable has a ``reset``, it is called before each rollout. The
-    default ``seed`` is the protocol's. ``tell`` is called with the test, its finished steps, and all of its steps.
+    ``env_cfg`` and ``protocol`` are config sections as dictionaries. ``make_policy`` takes an environment and returns a
+    policy, which maps observations by group to raw actions (N, A). If the policy has a method ``reset``, the method is
+    called before each rollout. The default ``seed`` is the protocol's seed. ``tell`` is called with the name of the
+    test, the number of finished steps, and the number of all steps.
     """
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
@@ -188,10 +189,10 @@ def _numbers(columns: Columns) -> dict[str, Array]:
 
 
 def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
-    """Return columns with the identity, the command, and the ending of each episode."""
+    """Return columns that identify each episode, with the episode's command and cause of its end."""
     table = rollout.scenarios
     cell = table.cell_of()
-    # The step test starts with a zero command, so its second command identifies the episode.
+    # The step test starts with a zero command, so the second command identifies the episode.
     commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {
@@ -226,7 +227,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
 
 
 def joined(parts: list[dict[str, Array]]) -> dict[str, Array]:
-    """Return the rows of several tests in one table; missing columns are NaN, or an empty text."""
+    """Return the rows of several tests in one table. A missing value becomes NaN or an empty text."""
     names = list(dict.fromkeys(name for part in parts for name in part))
     found = {}
     for name in names:

@@ -17,11 +17,12 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Scenarios:
-    """A table with one episode per row. The episodes of a cell have the same commands.
+    """A table of scenarios with one episode per row. Episodes of the same cell have the same commands.
 
-    ``times`` (K,) are the start times of the commands in s, the first at 0. ``cells`` (C, K, 3) are the commands v_x
-    and v_y in m/s and w_z in rad/s of each cell, and ``names`` (C,) the names of the cells. There are ``episodes``
-    episodes per cell. ``settings`` are further settings of the episodes as text: pushes, tiles, a changed world.
+    ``times`` (K,) are the start times of the commands, s, and the first time is 0. ``cells`` (C, K, 3) are the commands
+    of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the cells, and ``episodes`` is the
+    number of episodes in each cell. ``settings`` are further settings of the episodes as text: pushes, tiles, a changed
+    world.
     """
 
     test: str
@@ -38,26 +39,26 @@ class Scenarios:
         return len(self.cells) * self.episodes
 
     def cell_of(self) -> torch.Tensor:
-        """Return the cell of each episode, (N,) long. The first episodes belong to the first cell."""
+        """Return the index of each episode's cell (group with equal commands), (N,). Episodes are sorted by cell."""
         return torch.arange(len(self.cells)).repeat_interleave(self.episodes)
 
     def commands(self) -> torch.Tensor:
-        """Return the commands of each episode, (N, K, 3)."""
+        """Return the K velocity commands of each episode, (N, K, 3)."""
         return torch.tensor(self.cells)[self.cell_of()]
 
     def digest(self, seed: int) -> str:
-        """Return the sha256 of the table and of the seed of its starts."""
+        """Return the sha256 of the scenario table and of the seed of the start states."""
         table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, self.settings, seed]
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
 
 
 def standing(options: Stand) -> Scenarios:
-    """Return episodes with a zero command."""
+    """Return a table of standing episodes, which have a zero command."""
     return Scenarios("stand", float(options.horizon_s), (0.0,), ((ZERO,),), ("stand",), options.episodes)
 
 
 def walking(options: Walk) -> Scenarios:
-    """Return episodes over the grid of commands, by forward speed."""
+    """Return a table of episodes over the grid of velocity commands, sorted by forward speed."""
     pairs = [(float(x), float(z)) for x, z in product(options.lin_vel_x, options.ang_vel_z)]
     cells = tuple(((x, 0.0, z),) for x, z in pairs)
     names = tuple(f"vx={x:g} wz={z:g}" for x, z in pairs)
@@ -65,7 +66,7 @@ def walking(options: Walk) -> Scenarios:
 
 
 def stepping(options: Steps) -> Scenarios:
-    """Return episodes with the commands 0, c, -c, 0, for each c of both axes."""
+    """Return a table of episodes with the command sequence 0, c, -c, 0, for each speed c of both axes."""
     forward = [(float(x), 0.0, 0.0) for x in options.lin_vel_x]
     turning = [(0.0, 0.0, float(z)) for z in options.ang_vel_z]
     cells = tuple((ZERO, c, (-c[0], 0.0, -c[2]), ZERO) for c in (*forward, *turning))
@@ -76,7 +77,7 @@ def stepping(options: Steps) -> Scenarios:
 
 
 def pushing(options: Push) -> Scenarios:
-    """Return standing episodes with pushes, by direction and duration."""
+    """Return a table of standing episodes with pushes, one cell for each direction and duration of the push."""
     turns = [f"{360.0 * turn / options.directions:g}°" for turn in range(options.directions)]
     names = tuple(f"{turn} over {pulse:g} s" for pulse in options.pulses_s for turn in turns)
     horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
@@ -84,7 +85,7 @@ def pushing(options: Push) -> Scenarios:
 
 
 def on_terrain(options: Terrain) -> Scenarios:
-    """Return episodes that drive straight, by kind of tile and level."""
+    """Return a table of episodes that drive straight, one cell for each kind and level of terrain tile."""
     kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
     names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
@@ -96,7 +97,7 @@ def on_terrain(options: Terrain) -> Scenarios:
 
 
 def over_strips(options: Strip) -> Scenarios:
-    """Return episodes that drive straight over a strip of rough ground, by strip."""
+    """Return a table of episodes that drive straight over a strip of rough ground, one cell for each strip."""
     names = tuple(f"{1000.0 * amplitude:g}mm" for amplitude in options.amplitudes)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
     settings, cells = json.dumps(asdict(options), sort_keys=True), ((command,),) * len(names)

@@ -1,7 +1,8 @@
 """Tests on rough ground, with their columns: one number per episode.
 
-``terrain`` drives straight over tiles; each episode has one tile of a kind and level. ``strip`` drives from level
-ground over a strip of rough ground and back to level ground; it measures before, on, and behind the strip.
+In the test ``terrain``, each robot drives straight on one terrain tile of a given kind and level. In the test
+``strip``, each robot drives from level ground over a strip of rough ground to level ground, and the motion is measured
+before, on, and behind the strip.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ _BORDER = 2.0  # level ground, m
 
 
 def tiles(options: Terrain, seed: int) -> dict[str, Any]:
-    """Return the terrain section with one column per kind of tile and one row per level."""
+    """Return a terrain config with one column per kind of tile and one row per level."""
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # The start window keeps its width in m, because the floor of a pit does not grow with its tile.
+    # The size of the start area in m does not change, because the floor of a pit does not grow with the tile.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -45,7 +46,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
 
 
 def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
-    """Start every episode on the tile of its cell."""
+    """Place every robot on the terrain tile of its scenario."""
     env = rollout.env
     ground, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
     assert ground.terrain_origins is not None
@@ -55,11 +56,11 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
 
 
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
-    """Return the distance of each robot, and whether it succeeded; (N,) each.
+    """Return the driven distance and the success of each robot, (N,) each.
 
-    ``distance_ratio`` is the distance from the start along the first heading, at the last step before a failure, over
-    the commanded speed times the horizon. ``success`` is 1 if the episode survived and the ratio is at least
-    ``distance_share``, else 0. ``kind`` and ``level`` identify the tile.
+    ``distance_ratio`` is the distance along the first heading at the last step before a failure, divided by the
+    commanded distance. ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least
+    ``distance_share``, else 0. ``kind`` and ``level`` identify the terrain tile.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
     tile = {"kind": (cell // options.levels).double(), "level": (cell % options.levels).double()}
@@ -72,7 +73,7 @@ def _success(made: Trajectories, options: Terrain | Strip) -> Columns:
 
 
 def along_heading(made: Trajectories) -> torch.Tensor:
-    """Return the distance of each robot along its first heading, m, (N,), at its last step before a failure."""
+    """Return the distance of each robot along its first heading at the last step before a failure, m, (N,)."""
     last = (made.alive.sum(dim=0) - 1).clamp(min=0)
     way = (made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2] - made.pos[0, :, :2]).double()
     heading = made.yaw[0].double()
@@ -83,11 +84,11 @@ _STRIP_ROOM = 1.0  # level ground, m
 
 
 def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return the terrain section with one column per strip, one row, and a border of level ground.
+    """Return a terrain config with one column per strip of rough ground, one row, and a border of level ground.
 
-    The friction is that of the terrain section ``terrain``.
+    The friction is taken from the task's terrain config ``terrain``.
     """
-    # The outer points are at height 0, so that the strip has no step at its edge.
+    # The outermost points have height 0, so that there is no step between the level ground and the rough strip.
     rim = options.horizontal_scale
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
     way = options.lin_vel_x * options.horizon_s
@@ -108,7 +109,7 @@ def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[
 
 
 def place_before_strip(rollout: Rollout, options: Strip) -> None:
-    """Start every episode on the level ground before the strip of its cell."""
+    """Place every robot on the level ground before the rough strip of its scenario."""
     env = rollout.env
     terrain, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
     assert terrain.terrain_origins is not None
@@ -121,10 +122,10 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 
 
 class Phases(NamedTuple):
-    """The steps (T, N) bool of each episode before, on, and behind the strip.
+    """Masks (T, N) of the steps in which each robot is before, on, and behind the rough strip.
 
-    A robot that rolls back over an edge stays in its phase. ``before`` has the last ``quiet_s`` seconds before the
-    strip, for episodes that reach the strip.
+    A robot that rolls back over an edge of the strip stays in the later phase. ``before`` covers the last ``quiet_s``
+    seconds before the strip, in episodes that reach the strip.
     """
 
     before: torch.Tensor
@@ -133,7 +134,7 @@ class Phases(NamedTuple):
 
 
 def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
-    """Return the steps before, on, and behind the strip, by the x coordinate of the root link."""
+    """Return masks of the steps before, on, and behind the rough strip, by the x coordinate of the root link."""
     x, alive = made.pos[..., 0], made.alive
     come = (alive & (x >= options.before)).cummax(dim=0).values
     gone = (alive & (x > options.before + options.length)).cummax(dim=0).values
@@ -144,14 +145,14 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 
 
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
-    """Return columns (N,) that describe how each robot crosses the strip; NaN for a robot that never reached the strip.
+    """Return columns (N,) that describe how each robot crosses the rough strip; NaN if a robot did not reach the strip.
 
-    ``distance_ratio`` and ``success`` have the same definitions as in the function ``ways``. ``error_vx_<where>`` is
-    the RMS of v_x - c, and ``swing_rad_<where>`` the RMS of the pitch about its mean before the strip; the mean is
-    subtracted because a wrench makes each robot lean differently. ``recovery_s`` is the time after the strip until the
-    pitch is quiet: its swing over the next ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before
-    the strip, or at most ``quiet_floor``. ``recovered`` is 1 if ``recovery_s`` is at most ``within_s`` and the episode
-    survived, else 0.
+    The function ``ways`` defines ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x - c, where
+    c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between the pitch and its mean before the
+    strip. The mean is subtracted because each robot balances at another pitch. ``recovery_s`` is the time after the
+    strip until the pitch is quiet: its swing over the next ``recovered_s`` seconds is at most ``quiet_factor`` times
+    the swing before the strip, or at most ``quiet_floor``. ``recovered`` is 1 if the robot did not fall and
+    ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)
@@ -163,7 +164,7 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
         columns[f"swing_rad_{name}"] = rms(swing, counted)
     limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
     window = max(1, round(options.recovered_s / made.dt))
-    # Differences of cumulative sums give the mean square over every coming window at once.
+    # Differences of cumulative sums are the sums of squares over all sliding windows.
     sums = torch.cat((torch.zeros_like(swing[:1]), swing.square().cumsum(dim=0)))
     coming = torch.full_like(swing, torch.nan)
     coming[: made.steps - window + 1] = ((sums[window:] - sums[:-window]) / window).clamp(min=0.0).sqrt()

@@ -1,6 +1,6 @@
-"""Trajectories of a rollout as tensors over time, and means over the steps that count.
+"""Store the trajectories of a rollout as tensors over time, and compute means over masked steps.
 
-``EffortMeter`` sums torque and mechanical power over the physics steps of each control step.
+The class ``EffortMeter`` sums torque and mechanical power over the physics steps of each control step.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class EffortMeter(SensorBase):
-    """Sum torques and work over every physics step, so that chatter within a control step counts.
+    """Sums torques and work over all physics steps, so that chatter within a control step is measured.
 
-    The meter is updated like a sensor, but is not part of the model. Power is torque times the mean of the speeds
-    before and after the step. The net power leaves out I_a q̈, the torque that only accelerates the armature; the work
-    of this torque is exactly the armature's gain of kinetic energy.
+    The environment updates this object like a sensor, but the MuJoCo model contains no such sensor. Power is torque
+    times the mean of the speeds before and after the physics step. The net power excludes I_a q̈, the torque that only
+    accelerates the armature. The work of this torque is exactly the armature's gain of kinetic energy.
 
-    An actuator counts as saturated from the share ``saturation`` of its effort limit. A torque below the share
-    ``deadband`` of the limit counts as having no sign. ``dt`` is the physics step, s. The sums over a control step are:
-    ``gross``, ``net``, and ``positive`` work, J, (N,); ``peak`` of the positive power of all joints, W, (N,); and per
-    joint (N, J) the number of ``saturated`` physics steps, the ``squares`` of torques, and the ``sign_changes`` across
-    the whole dead band.
+    An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. A torque below the
+    share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. Over each control
+    step, ``gross``, ``net``, and ``positive`` are sums of work, J, (N,), and ``peak`` is the largest positive power of
+    all joints, W, (N,). For each joint (N, J), ``saturated`` is the number of saturated physics steps, ``squares`` is
+    the sum of squared torques, and ``sign_changes`` counts changes of the torque's sign across the whole dead band.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -42,28 +42,28 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self._of_joints = torch.zeros(4, n, joints, device=env.device)
         self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
-        # The number of physics steps is a tensor, so that replays of a CUDA graph increase it too.
+        # Store the number of physics steps in a tensor, so that replays of a CUDA graph increase the number too.
         self._steps = torch.zeros((), device=env.device)
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
 
     def start(self) -> None:
-        """Start a rollout with the armatures of this reset."""
+        """Start a rollout: read the armatures of the joints, which a reset can randomise."""
         self._armature = self._data.joint_armature
 
     def begin(self, counted: torch.Tensor | bool) -> None:
-        """Start a control step. ``counted`` says whether the previous control step counts, for all or (N,).
+        """Start a control step. ``counted``, one value or (N,), is true if the previous control step counts.
 
-        A sign change after a step that does not count is not counted.
+        Sign changes of the torque after a step that does not count are ignored.
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
-        # A zero sign makes the next product zero, so the first counted step has no sign change.
+        # Set the sign to 0, so that the product of two successive signs shows no sign change in the first counted step.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 
     def update(self) -> None:
-        """Add the physics step that has just run."""
+        """Add the torques and the work of the last physics step to the sums."""
         data = self._data
         torque, before, after = data.applied_torque, data.joint_vel_before, data.joint_vel
         speed = (before + after) / 2
@@ -84,30 +84,31 @@ class EffortMeter(SensorBase):
         self._steps += 1
 
     def shares(self) -> torch.Tensor:
-        """Return the share of the control step's physics steps at the effort limit, (N, J)."""
+        """Return the share of the physics steps in which each joint's torque was at the effort limit, (N, J)."""
         return self.saturated / self._steps.clamp(min=1)
 
     def torque_rms(self) -> torch.Tensor:
-        """Return the RMS torque over the control step's physics steps, N·m, (N, J)."""
+        """Return the RMS torque of each joint over the physics steps of the control step, N·m, (N, J)."""
         return (self.squares / self._steps.clamp(min=1)).sqrt()
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Do nothing, because the sums restart with each control step."""
+        """Do nothing at a reset, because the sums restart at each control step."""
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Do nothing, because only physics steps do work."""
+        """Do nothing, because work is only done during physics steps."""
 
 
 @dataclass
 class Trajectories:
-    """T control steps of N episodes, in SI units and radians. Values after the end of an episode are undefined.
+    """T control steps of N episodes, in SI units and radians. Entries after the end of an episode are undefined.
 
-    ``pos`` is the position of the root link from the environment's origin, and ``height`` is its height over the
-    ground. ``vel`` and ``ang`` are the velocities of the base in its own axes, to which velocity commands refer;
-    ``vel`` is that of the centre of mass. ``torque`` is the torque in the last physics step of the control step.
-    ``torque_rms``, ``saturated`` (a share), and ``sign_changes`` cover all physics steps of the control step. ``work``
-    has gross, net, and positive mechanical work, and the peak of the positive power. ``fell_at`` is the number of the
-    step in which an episode failed, from 1, and ``ended_by`` the index of the cause.
+    ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
+    root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
+    velocity, both in the base's axes, as velocity commands are. ``torque`` is the joint torque in the last physics step
+    of each control step. ``torque_rms``, ``saturated`` (a share), and ``sign_changes`` cover all physics steps of a
+    control step. ``work`` contains gross, net, and positive mechanical work, and the peak of the positive power.
+    ``fell_at`` is the number, from 1, of the control step in which an episode failed, and ``ended_by`` is the index of
+    the cause.
     """
 
     dt: float  # s
@@ -116,7 +117,7 @@ class Trajectories:
     height: torch.Tensor  # (T, N)
     roll: torch.Tensor  # (T, N)
     pitch: torch.Tensor  # (T, N)
-    yaw: torch.Tensor  # (T, N), -pi to pi
+    yaw: torch.Tensor  # (T, N), yaw from -pi to pi
     vel: torch.Tensor  # (T, N, 3)
     ang: torch.Tensor  # (T, N, 3)
     command: torch.Tensor  # (T, N, 3)
@@ -134,7 +135,7 @@ class Trajectories:
 
     @classmethod
     def empty(cls, steps: int, n: int, parts: RobotParts, actions: int, env: ManagerBasedRLEnv) -> Self:
-        """Return buffers for T steps of N episodes, none of them alive."""
+        """Return empty buffers for T steps of N episodes."""
         joints, wheels = len(parts.joint_names), len(parts.wheels)
 
         def room(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
@@ -168,7 +169,7 @@ class Trajectories:
         alive: torch.Tensor,
         force: float,
     ) -> None:
-        """Store one step of the environment."""
+        """Store the state of all episodes after one control step."""
         data = env.scene.robot.data
         pos, gravity = data.root_pos_w, data.projected_gravity_b
         self.alive[step], self.command[step], self.action[step] = alive, command, action
@@ -187,7 +188,7 @@ class Trajectories:
         self.saturated[step] = meter.shares()
 
     def end(self, step: int, failed: torch.Tensor, why: torch.Tensor) -> None:
-        """Store the failures of a step. Only the first failure of each episode counts."""
+        """Store which episodes failed in a control step, and why. Only the first failure of each episode counts."""
         first = failed & (self.fell_at == 0)
         self.ended_by = torch.where(first, why, self.ended_by)
         self.fell_at = torch.where(first, step + 1, self.fell_at)
@@ -199,7 +200,7 @@ class Trajectories:
 
     @property
     def fell(self) -> torch.Tensor:
-        """Whether each episode failed, (N,) bool."""
+        """Whether each episode ended with a failure, (N,) bool."""
         return self.fell_at > 0
 
     def counted(self, begin_s: float, end_s: float | None = None) -> torch.Tensor:
@@ -211,14 +212,14 @@ class Trajectories:
         return self.alive & window.unsqueeze(1)
 
     def unwrapped_yaw(self) -> torch.Tensor:
-        """Return the yaw without jumps, rad, (T, N)."""
+        """Return the yaw without jumps of 2π, rad, (T, N)."""
         turns = wrap_to_pi(self.yaw.diff(dim=0)).cumsum(dim=0)
         return self.yaw[:1] + torch.cat((torch.zeros_like(self.yaw[:1]), turns))
 
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the mean of (T, N, ...) over counted steps and trailing axes, (N,); NaN without steps."""
-    # Sum in float64, because float32 loses digits in sums over long episodes.
+    """Return the mean of values (T, N, ...) over counted steps and trailing axes, (N,); NaN without counted steps."""
+    # Sum in float64, because a float32 sum over a long episode loses precision.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
     total = torch.where(counted, flat, 0.0).sum(dim=0)
@@ -226,24 +227,24 @@ def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
 
 
 def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the root mean square of (T, N, ...) over counted steps and trailing axes, (N,); NaN without steps."""
+    """Return the RMS of values (T, N, ...) over counted steps and trailing axes, (N,); NaN without counted steps."""
     return mean(values.double().square(), counted).sqrt()
 
 
 def largest(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the largest value of (T, N) over counted steps, (N,); NaN without steps."""
+    """Return the largest of the values (T, N) over the counted steps, (N,); NaN without counted steps."""
     found = torch.where(counted, values.double(), -torch.inf).amax(dim=0)
     return torch.where(counted.any(dim=0), found, torch.nan)
 
 
 def total(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the sum of (T, N) over counted steps, (N,); NaN without steps."""
+    """Return the sum of values (T, N) over the counted steps, (N,); NaN without counted steps."""
     found = torch.where(counted, values.double(), 0.0).sum(dim=0)
     return torch.where(counted.any(dim=0), found, torch.nan)
 
 
 def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the least-squares slope of (T, N) over time, per second, (N,); NaN with fewer than two steps."""
+    """Return the least-squares slope of values (T, N) over time, per second, (N,); NaN with fewer than two steps."""
     time = torch.arange(len(values), dtype=torch.float64, device=values.device).unsqueeze(1) * dt
     weight, y = counted.double(), torch.where(counted, values.double(), 0.0)
     steps = weight.sum(dim=0).clamp(min=1)
@@ -253,12 +254,12 @@ def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tenso
 
 
 def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return (T, N, ...) at the last step before the counted steps, (N, ...)."""
+    """Return the values (T, N, ...) at the last step before the first counted step, (N, ...)."""
     return values[(counted.int().argmax(dim=0) - 1).clamp(min=0), torch.arange(values.shape[1], device=values.device)]
 
 
 def last_exit(outside: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the time from the first counted step to the last ``outside`` step, s, (N,); NaN if the end is outside."""
+    """Return the time from the first counted step until ``outside`` becomes false for good, s, (N,), or NaN."""
     begin = counted.int().argmax(dim=0)
     steps = torch.arange(1, len(outside) + 1, device=outside.device).unsqueeze(1)
     last = torch.where(counted & outside, steps, 0).amax(dim=0)

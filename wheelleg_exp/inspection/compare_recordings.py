@@ -20,8 +20,8 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 class Parting:
     """The first difference of a number: the control step, the simulated time (s), and both values.
 
-    ``step`` is None if all common values are equal and one recording has additional rows. ``time_s`` is None if the
-    recording has no simulated time.
+    The attribute ``step`` is None if all common values are equal and one recording has additional rows. The attribute
+    ``time_s`` is None if the recording contains no simulated times.
     """
 
     step: int | None
@@ -35,7 +35,7 @@ class NumberDifference:
     """A recorded number that differs between two rerun recordings.
 
     ``parting`` is the first difference at a control step that both recordings contain. ``largest`` is the largest
-    absolute difference over these control steps.
+    absolute difference over all common control steps.
     """
 
     name: str
@@ -48,7 +48,7 @@ class NumberDifference:
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """The bitwise comparison of two rerun recordings, entity by entity.
+    """The result of a bitwise comparison of two rerun recordings.
 
     ``only_first`` and ``only_second`` are the paths of rerun entities that only one of the two recordings contains.
     ``numbers`` are the recorded numbers that differ, in the order of their first difference.
@@ -66,12 +66,12 @@ class RecordingComparison:
         return not (self.different or self.only_first or self.only_second)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the comparison of the two recordings as a dictionary."""
+        """Return the comparison of the two recordings as a dictionary for JSON."""
         return {"is_equal": self.is_equal, **asdict(self)}
 
 
 def compare(first: Recording, second: Recording) -> RecordingComparison:
-    """Compare two rerun recordings, but ignore texts, properties, and wall-clock times."""
+    """Compare two rerun recordings bit by bit, without texts, properties, and wall-clock times."""
     a, b = entity_digests(first.path), entity_digests(second.path)
     different = [entity for entity in a if entity in b and a[entity] != b[entity]]
     numbers: dict[tuple[str, str], NumberDifference] = {}
@@ -96,7 +96,7 @@ def _difference(
     (steps_a, a), (steps_b, b) = _series(*first), _series(*second)
     _, at_a, at_b = np.intersect1d(steps_a, steps_b, return_indices=True)
     both_a, both_b = a[at_a], b[at_b]
-    # Compare the bits of the floats, so that NaN equals NaN, and -0.0 differs from 0.0.
+    # Compare the bits of floats, so that NaN is equal to NaN, and -0.0 differs from 0.0.
     unlike = both_a.view(np.int64) != both_b.view(np.int64)
     if not unlike.any() and np.array_equal(steps_a, steps_b):
         return None

@@ -1,9 +1,9 @@
-"""Find the times at which a condition is true in a recording, such as ``base.pitch > 0.3 and rewards.total < -5``.
+"""Find the times at which a condition such as ``base.pitch > 0.3 and rewards.total < -5`` is true in a recording.
 
-A condition is written like a Python expression of names, numbers, comparisons, ``and``, ``or``, ``not``,
-``+ - * /``, parentheses, and ``abs(…)``. A condition is parsed, and never executed as Python code. Names that Python
-does not allow, such as ``joints.left-hip.effort``, are quoted. A condition that is only a name is true in rows where
-the recorded number is not zero. A comparison with NaN is always false.
+A condition is an expression in Python syntax with names, numbers, comparisons, ``and``, ``or``, ``not``, ``+ - * /``,
+parentheses, and ``abs(…)``. A condition is never executed as Python code. Names that are invalid in Python, such as
+``joints.left-hip.effort``, must be quoted. A condition that consists of one name is true in rows where the recorded
+number is not zero. A comparison with NaN is always false.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 LONGEST = 2000
 DEEPEST = 60
-_SHOWN = 120  # Error messages truncate longer conditions.
+_SHOWN = 120  # Error messages show at most this number of characters of a condition.
 _Operators = dict[type, Callable[[Any, Any], Any]]
 _COMPARE: _Operators = {
     ast.Lt: operator.lt,
@@ -47,7 +47,7 @@ Value = NDArray | float
 
 
 class Condition:
-    """A parsed condition on recorded numbers. The constructor raises WheellegError for an invalid condition."""
+    """A condition on recorded numbers, parsed from text. The constructor raises WheellegError for invalid text."""
 
     def __init__(self, text: str) -> None:
         self.text, self._tree = text, _parsed(text)
@@ -58,7 +58,7 @@ class Condition:
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
         """Return a mask (n,) of the rows in which the condition is true.
 
-        ``values`` contains an array (n,) for each name.
+        ``values`` maps each name in the condition to an array (n,).
         """
         rows = len(values[self.names[0]])
         with np.errstate(all="ignore"):
@@ -73,7 +73,7 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = "; '==' compares" if "=" in text.replace("==", "").replace("<=", "").replace(">=", "") else ""
         raise _wrong(text, f"it cannot be read ({getattr(error, 'msg', None) or 'too deep'}{hint})") from error
-    # The evaluation of a syntax tree is recursive, so a deep tree would exceed Python's recursion limit.
+    # The evaluation of the condition's syntax tree is recursive, so a deep tree would exceed Python's recursion limit.
     depth, level = 0, [cast("ast.AST", tree)]
     while level:
         depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
@@ -109,7 +109,7 @@ def _names(node: ast.expr, text: str) -> Iterator[str]:
 
 
 def _name(node: ast.expr) -> str | None:
-    """Return the recorded number's name that a syntax node denotes: ``a``, ``a.b``, ``a.b[c]``, or a quoted text."""
+    """Return the recorded name in a syntax node of the form ``a``, ``a.b``, ``a.b[c]``, or a quoted text."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     inner = node
@@ -157,8 +157,8 @@ def _wrong(text: str, reason: str) -> WheellegError:
 class Hit:
     """Consecutive recorded frames in which a condition is true.
 
-    ``around`` contains these frames and the requested frames before and after them. It is None if no surrounding frames
-    were requested.
+    ``around`` contains the frames of the hit and the requested frames before and after the hit. ``around`` is None if
+    no surrounding frames were requested.
     """
 
     first: Moment
@@ -175,10 +175,11 @@ def find_hits(
     around: Length | None = None,
     selection: Selection | None = None,
 ) -> list[Hit]:
-    """Return the groups of consecutive frames in which a condition is true, ordered by environment and time.
+    """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
-    ``columns`` are the recorded numbers in ``Hit.around``; by default the numbers of the condition. ``around`` is the
-    time before and after a hit. The surrounding frames of a hit can be outside the selection.
+    ``columns`` are the names of the numbers in ``Hit.around``. The default is the numbers in the condition. ``around``
+    is the requested length of time before and after a hit. The surrounding frames of a hit can be outside the
+    selection.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))

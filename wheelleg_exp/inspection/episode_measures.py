@@ -15,7 +15,7 @@ from wheelleg_exp.recording.reading.arrow_values import as_number
 
 FAILED, TIMED_OUT, UNFINISHED = "failed", "time out", "unfinished"
 TOTAL = "total"
-_AT_LIMIT = 1.0 - 1e-6  # Recorded efforts are float32, so the comparison needs a tolerance.
+_AT_LIMIT = 1.0 - 1e-6  # Recorded efforts are float32, so the comparison of effort and effort limit needs a tolerance.
 _OWN = ("number", "episode.step", "terminated", "truncated")
 _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 
@@ -24,10 +24,11 @@ _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 class Episode:
     """The recorded part of one episode of one environment.
 
-    The training iterations and control steps belong to the first and the last recorded frame. The iterations are None
-    outside of training. ``duration_s`` is the time from the start of the episode to its last recorded frame.
-    ``outcome`` is ``failed``, ``time out``, or ``unfinished`` if the end was not recorded. ``ended_by`` are the names
-    of the termination terms that ended the episode. ``total_reward`` is the sum of the recorded rewards.
+    The pairs of training iterations and of control steps belong to the first and the last recorded frame of the
+    episode. The iterations are None in recordings that are not of a training. ``duration_s`` is the time from the start
+    of the episode to its last recorded frame. ``outcome`` is ``failed``, ``time out``, or, if the episode's end was not
+    recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended the episode.
+    ``total_reward`` is the sum of the recorded rewards.
     """
 
     env_id: int
@@ -44,34 +45,34 @@ class Episode:
 
 
 def whole(found: Sequence[Episode]) -> list[Episode]:
-    """Return the episodes that were recorded from start to end. Averages use only these episodes.
+    """Return the complete episodes, which were recorded from start to end. Averages use only these episodes.
 
-    An episode that was running when recording started is probably long. An episode that was running when recording
-    stopped has no end and no final sum of rewards.
+    Incomplete episodes would bias averages: an episode that was running when recording started is probably long, and an
+    episode that was running when recording stopped has no final sum of rewards.
     """
     return [episode for episode in found if episode.is_from_start and episode.outcome != UNFINISHED]
 
 
 def survival(found: Sequence[Episode]) -> float | None:
-    """Return the share of the complete episodes that reached the time-out; None without complete episodes."""
+    """Return the share of the complete episodes that reached the time-out; None if there is no complete episode."""
     kept = whole(found)
     return sum(episode.outcome == TIMED_OUT for episode in kept) / len(kept) if kept else None
 
 
 def mean_duration(found: Sequence[Episode]) -> float | None:
-    """Return the mean duration of the complete episodes, s; None without complete episodes."""
+    """Return the mean duration of the complete episodes, s; None if there is no complete episode."""
     kept = whole(found)
     return float(np.mean([episode.duration_s for episode in kept])) if kept else None
 
 
 def mean_reward(found: Sequence[Episode]) -> float | None:
-    """Return the mean sum of rewards of the complete episodes; None without complete episodes."""
+    """Return the mean sum of rewards of the complete episodes; None if there is no complete episode."""
     rewards = [episode.total_reward for episode in whole(found) if episode.total_reward is not None]
     return float(np.mean(rewards)) if rewards else None
 
 
 def episodes(view: View) -> list[Episode]:
-    """Return the recorded episodes of the selected environments, ordered by environment and time."""
+    """Return the recorded episodes of the selected environments, sorted by environment and time."""
     found = []
     for env_id in view.env_ids:
         ends = view.frames("terminations", env_id)
@@ -83,14 +84,14 @@ def episodes(view: View) -> list[Episode]:
 
 
 class _Marks:
-    """The recorded signals that separate the episodes of one environment."""
+    """Finds where the recorded episodes of one environment start and end."""
 
     def __init__(self, view: View, env_id: int, ends: Frames) -> None:
         self._env_id, self._ends = env_id, ends
         self._fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
         self._steps: NDArray[np.int64] = ends.column(STEP)
         self._step_dt = view.recording.step_dt or 0.0
-        # Old recordings have no episode counters, and a truncated recording can lack some rows of the episode counters.
+        # Old recordings have no episode counters, and truncated recordings can lack some rows of the counters.
         own = view.frames("episode", env_id)
         if own is not None and (len(own) != len(ends) or not set(_OWN) <= set(own.names)):
             own = None
@@ -109,7 +110,7 @@ class _Marks:
 
     def episode(self, first: int, last: int) -> Episode:
         frames = last - first + 1
-        # Recordings of format 1 do not count the control steps of an episode.
+        # Old recordings (format 1) do not contain the number of control steps since an episode's start.
         age = frames if self._own is None else int(self._own.column("episode.step")[last])
         names = [name for name, fired in zip(self._ends.names, self._fired[last], strict=True) if fired]
         if self._own is not None:
@@ -138,7 +139,7 @@ class _Marks:
 
 @dataclass(frozen=True)
 class TrackingError:
-    """Statistics of a velocity's tracking error (m/s or rad/s), actual minus commanded, over all frames."""
+    """Statistics of a velocity's tracking error, m/s or rad/s: the measured minus the commanded velocity."""
 
     command: str
     name: str
@@ -153,9 +154,9 @@ class TrackingError:
 class ForceExtreme:
     """Statistics of the contact force on one body, measured by one contact sensor.
 
-    ``largest_n`` is the largest force norm, N, over all physics steps if they were recorded, or else over the ends of
-    the control steps. ``mean_n`` is the mean force norm at the end of a control step, N. ``contact_share`` is the share
-    of the frames in which the force is not zero.
+    ``largest_n`` is the largest force norm, N: over all physics steps if the recording contains peaks, or else at the
+    ends of control steps. ``mean_n`` is the mean force norm at the end of a control step, N. ``contact_share`` is the
+    share of the frames in which the contact force is not zero.
     """
 
     sensor: str
@@ -168,9 +169,9 @@ class ForceExtreme:
 
 @dataclass(frozen=True)
 class EffortUse:
-    """The effort of a joint and its effort limit, N·m (N). ``limit`` is None if the limit is unknown or infinite.
+    """The effort of a joint and its effort limit, N·m or N. ``limit`` is None for an unknown or infinite limit.
 
-    ``saturated_share`` is the share of the frames in which the joint's effort equals its limit; None without a limit.
+    ``saturated_share`` is the share of frames with the effort at the limit; None if the joint has no effort limit.
     """
 
     joint: str
@@ -184,8 +185,8 @@ class EffortUse:
 class RewardShare:
     """The contribution of one reward term: its mean (1/s), and its sum over the recorded time.
 
-    ``weight`` is the reward term's configured weight; None if the weight was not recorded. ``share`` is the reward
-    term's share of the sum of the absolute values of all reward terms; None if that sum is 0.
+    ``weight`` is the reward term's configured weight; None if the weight was not recorded. ``share`` is the sum of the
+    term's absolute values divided by the sum over all reward terms; None if this sum is 0.
     """
 
     term: str
@@ -196,7 +197,7 @@ class RewardShare:
 
 
 def tracking_errors(view: View) -> list[TrackingError]:
-    """Return the tracking error of every command component for which the base's measured value has the same name."""
+    """Return the tracking error of every velocity command component that was also recorded as a measured value."""
     found = []
     for name in view.names("commands"):
         command, _, part = name.rpartition(".")
@@ -222,7 +223,7 @@ def base_motion(view: View) -> dict[str, Statistics]:
 
 
 def force_extremes(view: View) -> list[ForceExtreme]:
-    """Return the contact forces of every contact sensor and body, with recorded peaks within a control step."""
+    """Return statistics of the contact force on each body, for each contact sensor."""
     names = view.names("contacts")
     found = []
     for sensor, body in _bodies(view):
@@ -237,7 +238,7 @@ def force_extremes(view: View) -> list[ForceExtreme]:
 
 
 def effort_use(view: View) -> list[EffortUse]:
-    """Return for each joint how much of its effort limit the joint used."""
+    """Return the effort of each joint relative to the joint's effort limit."""
     found = []
     for name in (name for name in view.names("joints") if name.endswith(".effort")):
         size = np.abs(view.column("joints", name))

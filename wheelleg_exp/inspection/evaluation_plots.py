@@ -19,15 +19,15 @@ from wheelleg_exp.inspection.plot_style import FAINT, INK, MUTED, PROGRESS, Pane
 Array = np.ndarray[Any, Any]
 Episodes = Mapping[str, Array]
 
-# In maps of survival shares, dark red means failure and pale blue means success. In maps of tracking errors, a pale
-# colour means a small error.
+# In a map of survival rates, dark red means failure and pale blue means success.
+# In a map of tracking errors, a pale colour means a small error.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # Text is white in map cells beyond this share of the colour map.
+_DARK = 0.4  # Text is white in dark map cells, beyond this share of the colour map.
 _DEGREES = 180.0 / math.pi
 
 
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
-    """Return plot panels for each test of an evaluation. ``episodes`` are the columns of ``Evaluation.episodes``."""
+    """Return plot panels by the name of the test. ``episodes`` are the columns of ``Evaluation.episodes``."""
     masks = {test: np.asarray(episodes["test"] == test) for test in _TESTS}
     rows = {
         test: {name: column[mask] for name, column in episodes.items()} for test, mask in masks.items() if mask.any()
@@ -38,7 +38,7 @@ def panels(episodes: Episodes) -> dict[str, list[Panel]]:
 def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
     """Write one PNG file for each test of an evaluation, such as ``walk.png``, into a folder.
 
-    Return the paths of the files.
+    Return the paths of the written PNG files.
     """
     files = []
     for test, shown in panels(evaluation.episodes).items():
@@ -83,8 +83,7 @@ def _of_walking(rows: Episodes) -> list[Panel]:
     def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
         if not _some(rows, name):
             return None
-        # Tracking errors are averaged over robots that did not fall, because a robot that falls has driven for a short
-        # time only.
+        # Average tracking errors only over robots that did not fall, because a robot that fell drove only briefly.
         counts = np.where(rows["survived"] == 1.0, factor, np.nan) if name.startswith("error") else factor
         if not np.isfinite(rows[name] * counts).any():
             return None
@@ -117,7 +116,7 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
             angles = np.radians([float(name.partition("°")[0]) for name in mine])
             limits = np.array([np.nanmedian(rows["limit_m_s"][rows["cell_name"] == name]) for name in mine])
             angles, limits = np.append(angles, angles[0]), np.append(limits, limits[0])
-            # The robot's forward direction points up in the plot, and its left direction points left.
+            # In the plot, the robot's forward direction points up, and the robot's left side is on the left.
             axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
             largest = max(largest, float(np.nanmax(limits)))
         _rings(axes, largest or 1.0)
@@ -221,7 +220,7 @@ def _map(
                 share = norm(values[i, j])
                 dark = share < _DARK if is_share else share > _DARK
                 value = 100.0 * float(values[i, j]) if is_share else float(values[i, j])
-                # Numbers of at least 10 are formatted without an exponent.
+                # Write numbers of at least 10 with `.0f`, because `.2g` would write an exponent.
                 text = f"{value:.0f}" if is_share or abs(value) >= 10.0 else f"{value:.2g}"
                 axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
         axes.set_xticks(range(len(columns)), [f"{column:g}" for column in columns])

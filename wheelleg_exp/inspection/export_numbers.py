@@ -46,14 +46,14 @@ def export(
     Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, ``env`` if several
     environments were recorded, and one float64 column per recorded number. Parquet stores the unit of each column in
     the field's metadata (``unit``), and facts about the recording in the schema's metadata (``wheelleg``). A folder of
-    CSV files has the units in ``units.json``. Numbers in CSV have all digits of a float64. NaN is written as ``nan``.
-    An empty CSV field means that the number was not recorded at that control step.
+    CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of float64. NaN is
+    written as ``nan``. An empty CSV field means that the number was not recorded at the row's control step.
 
-    With ``terms``, dotted names such as ``rewards.base_height``, ``output`` is one file. The output path must not
-    exist. The output appears at its path only when it is complete.
+    If ``terms`` contains dotted names such as ``rewards.base_height``, the numbers are written to one file. The path
+    ``output`` must not exist. A file or folder appears at ``output`` only when all data is written.
     """
     if kind not in KINDS:
-        raise WheellegError(f"'{kind}' is not an export format", key="--export", expected=" or ".join(KINDS))
+        raise WheellegError(f"'{kind}' is not a supported export format", key="--export", expected=" or ".join(KINDS))
     require_new(output)
     chosen = selection or Selection()
     if terms:
@@ -84,7 +84,7 @@ def export(
 
 
 def encoded(table: pa.Table, kind: str) -> bytes:
-    """Return a table as the bytes of a CSV or Parquet file."""
+    """Return the content of a CSV or Parquet file with the given table."""
     buffer = io.BytesIO()
     if kind == "parquet":
         pq.write_table(table, buffer, compression="zstd")
@@ -94,7 +94,7 @@ def encoded(table: pa.Table, kind: str) -> bytes:
 
 
 def units(table: pa.Table) -> dict[str, str]:
-    """Return a unit for each column of a table that has a unit."""
+    """Return the unit of each table column by name. Columns without a unit are omitted."""
     found = {field.name: (field.metadata or {}).get(b"unit") for field in table.schema}
     return {name: value.decode() for name, value in found.items() if value}
 
@@ -116,7 +116,7 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
 
 
 def _file_name(group: str) -> str:
-    # A group in another program's recording can have any name, even a path.
+    # Escape the name, because a group in another program's recording can have any name, even a path.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 

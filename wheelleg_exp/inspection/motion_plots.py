@@ -38,9 +38,9 @@ def tracking(source: Source) -> list[Panel]:
 
 
 def joints(source: Source) -> list[Panel]:
-    """Return plot panels of each joint with its target and effort limit.
+    """Return plot panels of each joint's motion and effort, with the target and the effort limit.
 
-    For a training, the panels show the last sample.
+    For a training, the panels show only the last recorded sequence of control steps (sample).
     """
     panels: list[Panel] = []
     for joint in source.below("joints"):
@@ -56,9 +56,9 @@ def joints(source: Source) -> list[Panel]:
 
 
 def contact_forces(source: Source) -> list[Panel]:
-    """Return plot panels of the contact force of every touched body.
+    """Return plot panels of the contact force on every body that had contact.
 
-    For a training, the panels show the last sample.
+    For a training, the panels show only the last recorded sequence of control steps (sample).
     """
     panels = []
     for sensor in source.below("contacts"):
@@ -66,7 +66,7 @@ def contact_forces(source: Source) -> list[Panel]:
         if series is None:
             continue
         shown, peak = _last(source, series), source.maybe("contacts", sensor, "peak")
-        # The largest forces within each control step are shown only if they have the rows of the forces.
+        # Show the peak forces only if the peak forces were recorded at the same control steps as the forces.
         if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
             peak = None
         else:
@@ -84,7 +84,7 @@ def contact_forces(source: Source) -> list[Panel]:
 
 
 def terminations(source: Source) -> list[Panel]:
-    """Return a plot panel with the times at which each termination term fired."""
+    """Return a plot panel with the times at which each termination term ended an episode."""
     fired = source.fired()
     if not fired:
         return []
@@ -107,7 +107,7 @@ def terminations(source: Source) -> list[Panel]:
 
 
 def rewards(source: Source) -> list[Panel]:
-    """Return plot panels of the mean weighted value of each reward term, and of each reward term over time."""
+    """Return plot panels of the mean weighted value of each reward term, and of the values over time."""
     terms = source.weighted()
     if not terms:
         return []
@@ -138,20 +138,20 @@ def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
 
 
 def with_unit(title: str, entity: str) -> str:
-    """Return a panel title; it contains the unit of the entity if the entity has a unit."""
+    """Return a panel title with the unit of a recorded entity, if the entity has a unit."""
     found = unit(entity)
     return f"{title} ({found})" if found else title
 
 
 def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
-    """Label the axes of a plot panel over time."""
+    """Label the axes of a plot panel whose horizontal axis is time."""
     axes.set_xlabel("time in the sample (s)" if relative else "simulated time (s)")
     axes.set_ylabel(label)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
 
 
 def is_driven(source: Source, joint: str) -> bool:
-    """Return whether a joint's drive tracks a velocity target instead of a position target."""
+    """Return whether a joint's actuator tracks a velocity target instead of a position target."""
     stiffness = source.drive(joint, "stiffness")
     if stiffness is not None:
         return stiffness == 0.0
@@ -168,7 +168,7 @@ def _over_time(
     target: float | None = None,
     wanted: Series | None = None,
 ) -> Panel | None:
-    # For a training, the panel has one line per sample, from pale (early) to dark (late).
+    # For a training, draw one line per sample (recorded sequence of control steps), from pale (early) to dark (late).
     series = source.maybe(*parts)
     if series is None:
         return None

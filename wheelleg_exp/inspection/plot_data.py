@@ -37,13 +37,13 @@ class Series:
     names: tuple[str, ...]
 
     def rows(self, which: Any) -> Series:
-        """Return the chosen rows of a series."""
+        """Return a series that contains only the rows ``which`` of this series."""
         iteration = None if self.iteration is None else self.iteration[which]
         return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
 
     @property
     def first(self) -> Numbers:
-        """The first number of a series, (n,)."""
+        """The values of the first number in a series, (n,)."""
         return self.values[:, 0]
 
 
@@ -51,7 +51,7 @@ class Series:
 class Sample:
     """Consecutive recorded control steps.
 
-    ``iteration`` is the training iteration at the first of these steps, or None.
+    ``iteration`` is the training iteration at the first of the control steps, or None.
     """
 
     first: int
@@ -59,14 +59,14 @@ class Sample:
     iteration: int | None
 
     def of(self, series: Series) -> Series:
-        """Return the rows of a series that belong to the sample."""
+        """Return a series that contains only the rows within this sample's control steps."""
         return series.rows((series.step >= self.first) & (series.step <= self.last))
 
 
 class Source:
-    """A rerun recording as a source of plots.
+    """Provides the data of a rerun recording for plots.
 
-    ``env`` defaults to the selected environment, or else to the first environment.
+    The default of ``env`` is the selected environment, or else the first recorded environment.
     """
 
     def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
@@ -80,30 +80,30 @@ class Source:
 
     @property
     def whose(self) -> str:
-        """The name of the plotted environment; an empty string if only one environment was recorded."""
+        """The name of the plotted environment; an empty text if only one environment was recorded."""
         return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
 
     def path(self, *parts: str) -> str:
-        """Return the rerun entity path of an entity of the plotted environment."""
+        """Return the rerun entity path for an entity of the plotted environment, given the names in the path."""
         return join(self.branch, *parts)
 
     def below(self, *parts: str) -> list[str]:
-        """Return the names of the entities directly below an entity path, in the recorded order if possible."""
+        """Return the names of the child entities in the plotted environment, in the recorded order if possible."""
         root = self.path(*parts)
         found, statics = self.children(root), self.recording.static(root)
         order = [str(name) for name in statics.get("terms", statics.get("names", []))]
         return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
 
     def children(self, root: str) -> list[str]:
-        """Return the names of the entities directly below an entity."""
+        """Return the names of the direct children of a rerun entity."""
         head = f"{root}/"
         tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
         return list(dict.fromkeys(_plain(tail.split("/")[0]) for tail in tails))
 
     def find(self, term: str) -> str | None:
-        """Return the entity of a dotted name such as ``rewards.base_height``, or None.
+        """Return the rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
 
-        The prefix ``training.`` of a training scalar is optional, and slashes can replace dots.
+        In the name of a training scalar, the prefix ``training.`` is optional, and slashes can replace dots.
         """
         parts = parts_of(term) if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
@@ -112,10 +112,10 @@ class Source:
         return None
 
     def series(self, entity: str) -> Series:
-        """Return the numbers of an entity; raise RunDirectoryError if the entity has no numbers or no selected rows."""
+        """Return the numbers of an entity. Raise RunDirectoryError if the selected rows have none."""
         found = self._series(entity)
         if not found.values.size:
-            raise RunDirectoryError(f"no row of '{entity}' of '{self.recording.path}' is selected")
+            raise RunDirectoryError(f"the selection contains no row of '{entity}' in '{self.recording.path}'")
         return found
 
     def _series(self, entity: str) -> Series:
@@ -129,7 +129,7 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return an entity's numbers in the plotted environment; None without numbers or selected rows."""
+        """Return an entity's numbers in the plotted environment; None if the selected rows contain no numbers."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
@@ -152,7 +152,7 @@ class Source:
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
-        """Return the groups of consecutive recorded control steps in order of time."""
+        """Return the samples (groups of consecutive recorded control steps), sorted by time."""
         clock = self.clock()
         if clock is None or not len(clock.step):
             return []
@@ -161,7 +161,7 @@ class Source:
         return [Sample(int(clock.step[a]), int(clock.step[b - 1]), iterations[a]) for a, b in pairwise(cuts)]
 
     def shown_samples(self, count: int = 4) -> list[Sample]:
-        """Return the first sample, the last sample, and evenly spaced samples between these two."""
+        """Return up to ``count`` samples: the first sample, the last sample, and evenly spaced samples in between."""
         samples = self.samples()
         if len(samples) <= count:
             return samples
@@ -169,7 +169,7 @@ class Source:
         return [samples[i] for i in dict.fromkeys(picked.tolist())]
 
     def clock(self) -> Series | None:
-        """Return a series with a row at every recorded step of the environment."""
+        """Return a series with one row for every recorded control step of the plotted environment."""
         for parts in (("state", "qpos"), ("base", "height"), ("rewards", "total")):
             if (series := self.maybe(*parts)) is not None:
                 return series
@@ -181,7 +181,7 @@ class Source:
         return {name: series for name, series in found.items() if series is not None}
 
     def ends(self) -> NDArray[np.int64]:
-        """Return the control steps at which episodes ended."""
+        """Return the control steps at which episodes of the plotted environment ended."""
         steps = [series.step[series.first > 0] for series in self.fired().values()]
         return np.unique(np.concatenate(steps)) if steps else np.empty(0, dtype=np.int64)
 
@@ -194,7 +194,7 @@ class Source:
         return {name: series for name, series in found.items() if series is not None}
 
     def target_height(self) -> float | None:
-        """Return the base's target height, m, from the recorded reward terms; None without a target height."""
+        """Return the base's target height, m, from the recorded reward terms; None if no term has a target height."""
         for term in _mapping(_mapping(self.config.get("env")).get("rewards")).values():
             height = as_number(_mapping(term).get("target_height"))
             if height is not None:
@@ -202,7 +202,7 @@ class Source:
         return None
 
     def drive(self, joint: str, name: str) -> float | None:
-        """Return a recorded property of a joint's drive, such as ``effort_limit``, or None if not recorded."""
+        """Return a property of a joint's actuator, such as ``effort_limit``; None if the property was not recorded."""
         kept = self.recording.static(self.path("joints", joint)).get(name)
         return as_number(kept[0]) if kept else None
 
@@ -219,7 +219,7 @@ def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Nu
 def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
-    """Return the indices of the table rows that a selection of times and iterations contains."""
+    """Return the indices of the rows within the selected times and training iterations."""
     if selection.begin is None and selection.end is None and selection.iterations is None:
         return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
@@ -229,20 +229,20 @@ def chosen_rows(
 
 
 def drawable(values: Any) -> Numbers:
-    """Return numbers in which NaN replaces values that are not finite or too large for a plot axis."""
+    """Replace values that are not finite or too large for a plot axis by NaN."""
     found = np.asarray(values, dtype=np.float64)
     return np.where(np.abs(found) < _LARGEST, found, np.nan)
 
 
 def mean_of(values: Any) -> float:
-    """Return the mean of the numbers that a plot can show; 0 if a plot can show none of the numbers."""
+    """Return the mean of the finite values; 0 if there are none. Values too large for a plot axis are excluded."""
     known = drawable(values)
     known = known[np.isfinite(known)]
     return float(known.mean()) if len(known) else 0.0
 
 
 def seconds(table: pa.Table) -> Numbers:
-    """Return the simulated times of a table, s; zeros if the table has no simulated times."""
+    """Return the column of simulated times in a table, s; zeros if the table has no such column."""
     if SIM_TIME not in table.column_names:
         return np.zeros(len(table))
     column = table.column(SIM_TIME).combine_chunks()
@@ -252,7 +252,7 @@ def seconds(table: pa.Table) -> Numbers:
 
 
 def parts_of(entity: str) -> list[str]:
-    """Return the parts of a rerun entity path without escape characters."""
+    """Split a rerun entity path into its names, without escape characters."""
     return [_plain(part) for part in re.split(r"(?<!\\)/", entity.strip("/"))]
 
 

@@ -28,7 +28,7 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
 INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
 FAILED = "#C2410C"
 
-# The colours go from pale (early) to dark (late), and are readable on white and in grey print.
+# The colours for progress go from pale (early) to dark (late), and are readable on white and in grey print.
 PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
@@ -84,7 +84,7 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "wheelleg",
     "pdf.fonttype": 42,
     "path.simplify": True,
-    "text.parse_math": False,  # The name of a term can contain a dollar sign.
+    "text.parse_math": False,  # Disable math text, because the name of a term can contain a dollar sign.
 }
 
 
@@ -92,7 +92,7 @@ STYLE: Mapping[str, Any] = {
 class Panel:
     """One plot of a figure: its title with the unit, a function that draws into axes, and its height in inches.
 
-    A ``wide`` panel occupies a whole row of the figure. The height has no effect in a figure of fixed size.
+    A ``wide`` panel occupies a whole row of the figure. If the figure has a fixed size, the panel's height is ignored.
     """
 
     title: str
@@ -114,12 +114,12 @@ def _saved(figure: Figure) -> Iterator[None]:
     for text in figure.findobj(Text):
         text.set_text(printable(text.get_text()))
     with styled(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # matplotlib warns of missing glyphs and too long titles.
+        warnings.simplefilter("ignore", UserWarning)  # matplotlib warns about missing glyphs and too long titles.
         yield
 
 
 def colour(index: int) -> str:
-    """Return the plot colour for the index of an item whose order has no meaning."""
+    """Return the plot colour of the item with the given index, for items whose order has no meaning."""
     return PALETTE[index % len(PALETTE)]
 
 
@@ -129,23 +129,23 @@ def shades(count: int) -> list[Any]:
 
 
 def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float, float] | None = None) -> Figure:
-    """Return a matplotlib figure of panels in a grid, with a title above the panels.
+    """Return a matplotlib figure with the panels in a grid and a title above the grid.
 
-    ``size`` is the width and height of the figure, inches; by default the width of a page and the sum of the panels'
-    heights.
+    ``size`` is the width and height of the figure, inches. By default, the width is that of a page, and the height is
+    the sum of the panels' heights.
     """
     with styled():
         return _tiled([(title, panels)], size)
 
 
 def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
-    """Return a matplotlib figure of several titled groups of panels, from top to bottom."""
+    """Return a matplotlib figure with several groups of panels, each with a title, from top to bottom."""
     with styled():
         return _tiled(sections)
 
 
 def figure_svg(figure: Figure) -> str:
-    """Return a matplotlib figure as an SVG document without a date, so that equal figures give equal files.
+    """Convert a matplotlib figure to an SVG document without a date, so that equal figures give equal documents.
 
     The SVG contains text elements instead of glyph outlines. The root element has a ``viewBox``, so that a page can
     scale the drawing.
@@ -155,7 +155,7 @@ def figure_svg(figure: Figure) -> str:
         nothing: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         FigureCanvasSVG(figure).print_svg(buffer, metadata=nothing)
     text = buffer.getvalue()
-    text = text[text.index("<svg") :]  # The XML declaration of an SVG file is not valid inside an HTML page.
+    text = text[text.index("<svg") :]  # Remove the XML declaration, which is not valid inside an HTML page.
     text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     shorten = partial(_NUMBER.sub, lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."))
@@ -163,7 +163,7 @@ def figure_svg(figure: Figure) -> str:
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
-    """Return a matplotlib figure as the bytes of a png, svg or pdf file, without a date."""
+    """Convert a matplotlib figure to the content of a png, svg, or pdf file, without a date."""
     if kind == "svg":
         return f'<?xml version="1.0" encoding="utf-8" standalone="no"?>\n{figure_svg(figure)}'.encode()
     buffer = io.BytesIO()
@@ -191,7 +191,7 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return as many panels as fit into a figure; the last panel states the number of omitted panels."""
+    """Return as many panels as fit into a figure. If panels are omitted, the last panel states their number."""
     if len(panels) <= _MOST_PANELS:
         return panels
     beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
@@ -209,7 +209,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # Rows of one panel and rows of two panels share one grid. Its number of columns is the least common multiple.
+    # Rows with different numbers of panels share one grid, whose number of columns is their least common multiple.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

@@ -1,6 +1,6 @@
 """Recorded numbers: the selected frames of a recording, numbers by name, and their statistics.
 
-The name of a recorded number is for example ``rewards.base_height``.
+An example of a recorded number's name is ``rewards.base_height``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class Moment:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the finite values of one recorded number; the statistics are None without finite values.
+    """Statistics of the finite values of one recorded number. The statistics are None if no value is finite.
 
-    ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation divides by n.
-    ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
+    ``count``, ``first_at``, and ``last_at`` also include values that are not finite. The standard deviation has the
+    divisor n. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
     ``maximum_at`` are the moments at which the minimum and the maximum were first recorded.
     """
 
@@ -56,12 +56,12 @@ class Statistics:
     last_at: Moment | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the statistics as a dictionary."""
+        """Return the statistics of the number as a dictionary for JSON."""
         return asdict(self)
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
-    """Return the statistics of ``values`` (n,); the function ``at`` returns the moment of a row."""
+    """Return the statistics of ``values`` (n,). The function ``at`` maps the index of a row to a ``Moment``."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     kept = values[finite]
@@ -73,7 +73,7 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
         return Statistics(*counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
-    with np.errstate(over="ignore", invalid="ignore"):  # The squares of very large values overflow.
+    with np.errstate(over="ignore", invalid="ignore"):  # numpy warns if the square of a very large value overflows.
         mean, std, rms = float(kept.mean()), float(kept.std()), float(np.sqrt(np.mean(kept**2)))
     quantiles = dict(zip(QUANTILES, np.quantile(kept, QUANTILES).tolist(), strict=True))
     low_at, high_at = (at(int(low)), at(int(high))) if at else (None, None)
@@ -96,38 +96,38 @@ class Frames:
 
     @property
     def names(self) -> list[str]:
-        """The names of the numbers in the table."""
+        """The names of the recorded numbers in the table."""
         return [name for name in self.table.column_names if name not in TIMES]
 
     def column(self, name: str) -> NDArray:
-        """Return a recorded number or a timeline by name, (n,)."""
+        """Return the values of a recorded number or a timeline, (n,), by name."""
         return np.asarray(self.table.column(name))
 
     def moment(self, row: int) -> Moment:
-        """Return the simulated moment at which a row was recorded."""
+        """Return the control step, simulated time, and iteration at which a row was recorded."""
         present = self.table.column_names
         step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMES)
         return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
-        """Return the frames where ``mask`` is true."""
+        """Return only the recorded frames where ``mask`` is true."""
         return Frames(self.table.filter(pa.array(mask)), self.env_id)
 
 
 @dataclass(frozen=True)
 class View:
-    """The selected rows of a recording."""
+    """Gives access to the selected rows of a recording."""
 
     recording: Recording
     selection: Selection = field(default_factory=Selection)
 
     @property
     def env_ids(self) -> list[int]:
-        """The indices of the selected environments."""
+        """The indices of the selected recorded environments."""
         return self.selection.env_ids(self.recording)
 
     def frames(self, group: str, env_id: int) -> Frames | None:
-        """Return one environment's rows of a group such as ``rewards``; None if the group has no numbers."""
+        """Return the selected rows of a group such as ``rewards`` in one environment; None without numbers."""
         branch = self.recording.branch(env_id)
         path = f"{branch}/{group}" if branch else group
         if path not in self.recording.groups() and "scalars" not in self.recording.columns(path):
@@ -145,7 +145,7 @@ class View:
         return np.concatenate(parts) if parts else np.empty(0)
 
     def moment(self, group: str, row: int) -> Moment:
-        """Return the simulated moment of a row of a recorded number."""
+        """Return the control step, simulated time, iteration, and environment of a row in the concatenated values."""
         for frames in self._all(group):
             if row < len(frames):
                 return frames.moment(row)
@@ -153,12 +153,12 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list]:
-        """Return the static rerun components at a path of the first selected environment."""
+        """Return the static data of a rerun entity of the first selected environment, by component."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
     def events(self, kind: str) -> list[Event]:
-        """Return the recorded messages within the selected rows."""
+        """Return the recorded log messages of one kind within the selected times and environments."""
         found = dict.fromkeys(event for env_id in self.env_ids for event in self.recording.events(kind, env_id))
         return [event for event in found if self.selection.has(event.step, event.time_s, event.iteration)]
 
@@ -171,7 +171,7 @@ _SHOWN = 12
 
 
 def find_number(recording: Recording, name: str, env_id: int | None = None, key: str = "--term") -> Number:
-    """Return the recorded number with a name; raise WheellegError for an unknown name."""
+    """Return the recorded number with the given name. Raise WheellegError for an unknown name."""
     numbers = recording.all_numbers(env_id)
     for word in (name, name.strip("/").replace("/", ".")):
         if word in numbers:
@@ -182,11 +182,11 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
     below = [n for n in numbers if n.startswith(f"{word.split('.')[0]}.")]
     shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in numbers)]
     expected = "one of " + ", ".join(shown[:_SHOWN]) + (f", … ({len(shown)} in all)" if len(shown) > _SHOWN else "")
-    raise WheellegError(f"no number '{name}' was recorded", key=key, expected=expected, nearest=nearest)
+    raise WheellegError(f"the recording contains no number '{name}'", key=key, expected=expected, nearest=nearest)
 
 
 def frames_for(recording: Recording, names: Iterable[str], selection: Selection, key: str = "--term") -> list[Frames]:
-    """Return the selected rows of the named numbers for each selected environment."""
+    """Return the selected rows of the numbers ``names``, for each selected environment."""
     words, found = list(dict.fromkeys(names)), []
     for env_id in selection.env_ids(recording):
         numbers = [find_number(recording, name, env_id, key) for name in words]
@@ -199,7 +199,7 @@ def frames_for(recording: Recording, names: Iterable[str], selection: Selection,
 
 
 def is_of_env(number: Number) -> bool:
-    """Return whether a recorded number belongs to one of several recorded environments."""
+    """Return whether a recorded number belongs to one environment of a recording with several environments."""
     return BRANCH.match(number.entity) is not None
 
 
@@ -212,18 +212,18 @@ class NumberEntry:
 
 
 def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """Return by name every recorded number of one environment, and every number that belongs to no environment."""
+    """List all recorded numbers of one environment, and all numbers that belong to no environment, by name."""
     return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:
-    """Return the units of the named numbers; a number without a unit is omitted."""
+    """Return the units of recorded numbers by name. Numbers without a unit are omitted."""
     found = {name: unit(find_number(recording, name, env_id).entity) for name in names}
     return {name: word for name, word in found.items() if word}
 
 
 def term_statistics(recording: Recording, names: Iterable[str], selection: Selection) -> dict[str, Statistics]:
-    """Return the statistics of the named numbers over all selected environments."""
+    """Return statistics of the numbers ``names``, each over the selected rows of all selected environments."""
     return {name: _statistics(recording, name, selection) for name in names}
 
 

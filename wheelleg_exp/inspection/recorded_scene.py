@@ -40,7 +40,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
         rgba = rgba_of(_at(statics, ("colors",), i, None))
-        if "half_sizes" in statics:  # rerun's boxes and ellipsoids have equal components.
+        if "half_sizes" in statics:  # rerun stores boxes and ellipsoids in components with equal names.
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
             yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
             continue
@@ -48,7 +48,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         if "centers" in statics:
             yield Shape("cylinder", (radius, half), pos, quat, rgba)
         else:
-            # The origin of a rerun capsule is the centre of one cap, but the origin of a drawn shape is its centre.
+            # The origin of a rerun capsule is the centre of one cap, but MuJoCo draws a capsule around its centre.
             centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
             yield Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
 
@@ -97,10 +97,11 @@ class Arrows:
 
 @dataclass(frozen=True)
 class Motion:
-    """The recorded motion of the robot's bodies, frame by frame.
+    """The recorded poses of the robot's bodies in each of n frames.
 
-    The arrays are control steps (n,), times in s (n,), training iterations (n,) or None, positions of the bodies in m
-    (n, B, 3), and orientations as wxyz (n, B, 4). ``commands`` are the numbers of the velocity command by name, (n,).
+    The arrays contain control steps (n,), times in s (n,), training iterations (n,) or None, positions of B bodies in m
+    (n, B, 3), and orientations as wxyz (n, B, 4). ``commands`` maps each component of the velocity command to an array
+    (n,).
     """
 
     step: NDArray[np.int64]
@@ -112,12 +113,12 @@ class Motion:
     commands: Mapping[str, Numbers] = field(default_factory=dict)
 
     def iteration_at(self, row: int) -> int | None:
-        """Return the training iteration of a frame; None outside of training."""
+        """Return the training iteration of a frame; None if the recording is not of a training."""
         return int(self.iteration[row]) if self.iteration is not None and self.iteration[row] >= 0 else None
 
 
 def scene_of(source: Source) -> Scene:
-    """Return the scene of a recording; a recording without a moving robot raises RunDirectoryError."""
+    """Return the drawable scene of a recording. Raise RunDirectoryError if the recording contains no moving robot."""
     moving = {STEP, "translation", "quaternion"}
     names = source.children(join(WORLD, source.branch) if source.branch else WORLD)
     entities = {name: entity for name in names if source.recording.has_rows(entity := source_body(source, name))}
@@ -133,12 +134,12 @@ def scene_of(source: Source) -> Scene:
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
-    """Return the recorded motion of a scene. A pose that is not finite is replaced by the last finite pose.
+    """Return the recorded motion of a scene. NaN and inf are replaced by the last finite pose.
 
     The function raises RunDirectoryError if the bodies have no common control step.
     """
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
-    # A truncated recording can end with the rows of only some bodies.
+    # Use only common control steps, because a truncated recording can lack the last poses of some bodies.
     steps = [np.asarray(table.column(STEP)) for table in tables]
     if not all(np.array_equal(own, steps[0]) for own in steps):
         common = reduce(np.intersect1d, steps)
@@ -163,12 +164,12 @@ def source_body(source: Source, name: str) -> str:
 
 
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
-    """Return the frames of a motion that belong to a sample."""
+    """Return the indices of the frames of a motion that belong to a sample."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
 
 
 def _root(source: Source, names: list[str]) -> int:
-    """Return the index of the robot's base, from the recording's properties or else from the recorded base height."""
+    """Return the index of the robot's base body, from the recorded properties or else from the recorded height."""
     known = _property(source, "root")
     if known and str(known[0]) in names:
         return names.index(str(known[0]))
@@ -246,7 +247,7 @@ def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
 
 
 def _vectors(table: pa.Table, name: str, width: int) -> Numbers:
-    """Return the first vector of each row of a rerun component, (n, width); NaN for an empty row."""
+    """Return the first vector in each row of a rerun component, (n, width). An empty row becomes NaN."""
     rows = [row[:1] if len(row) else np.full((1, width), np.nan) for row in _ragged(table, name, width)]
     return np.concatenate(rows) if rows else np.empty((0, width))
 
@@ -262,7 +263,7 @@ def _last_finite(rows: Numbers) -> Numbers:
     fine = (np.abs(rows) < FAR).all(axis=1)
     if fine.all() or not fine.any():
         return np.where(np.abs(rows) < FAR, rows, 0.0)
-    # Replace each row that is not finite by the preceding finite row, or else by the first finite row.
+    # Replace each row with NaN or inf by the preceding finite row, or else by the first finite row.
     return rows[np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))]
 
 
@@ -272,14 +273,14 @@ _LOOKED_AT = 12
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with constant distance, m, and direction, and a moving target, (n, 3), m, for each frame."""
+    """A camera with constant direction and constant distance, m, that looks at a moving target, (n, 3), m."""
 
     distance: float
     lookat: Array
 
 
 def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
-    """Return a camera for the chosen frames of a motion.
+    """Return a camera that follows the robot in the frames ``rows`` of a motion.
 
     ``aspect`` is the width of the picture divided by its height.
     """
@@ -290,7 +291,7 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
     high = np.median([cloud.max(axis=0) for cloud in clouds], axis=0)
     centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
     distance = max(render_scene.camera_distance(cloud - centre, aspect) for cloud in clouds)
-    # The smoothing of the camera's path does not cross frames at which a reset moved the robot.
+    # Smooth the camera's path only between resets, because a reset moves the robot.
     cuts = np.flatnonzero(np.linalg.norm(np.diff(root, axis=0), axis=1) > scene.size) + 1
     parts, time = np.split(np.arange(len(root)), cuts), motion.time[rows]
     path = np.concatenate([_gauss(root[part], time[part]) for part in parts if len(part)])
@@ -327,14 +328,14 @@ def caption_lines(motion: Motion, row: int, env_id: int | None = None) -> list[s
 
 
 def arrow_legend(motion: Motion) -> dict[str, tuple[float, ...]]:
-    """Return the label and colour of each kind of arrow that is visible in at least one frame."""
+    """Return the label and the colour of each kind of arrow that at least one frame shows."""
     return {a.name: a.rgba for a in motion.arrows if any(np.abs(v).max(initial=0.0) > 0 for v in a.vectors)}
 
 
 def write_caption(
     pixels: NDArray[np.uint8], texts: Sequence[str], colours: Mapping[str, tuple[float, ...]]
 ) -> NDArray[np.uint8]:
-    """Return the picture (h, w, 3) with texts at its lower left and the legend of arrows at its lower right."""
+    """Add texts to the lower left corner of a picture (h, w, 3), and a legend of arrows to the lower right corner."""
     image = Image.fromarray(pixels).convert("RGBA")
     layer = Image.new("RGBA", image.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)

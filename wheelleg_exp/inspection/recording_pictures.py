@@ -1,4 +1,4 @@
-"""Draw pictures of the robot with MuJoCo from a rerun recording."""
+"""Draw pictures of a recorded robot with MuJoCo's renderer."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from wheelleg_exp.rendering.render_scene import AZIMUTH, ELEVATION, Scene
 from wheelleg_exp.rendering.renderer import drawing
 
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
-_FINER = 2  # Twofold supersampling avoids jagged edges.
+_FINER = 2  # Pictures are drawn at twice the size and then reduced (supersampling), because this avoids jagged edges.
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # The range of arrow lengths, in robot heights.
+_SHORTEST, _LONGEST = 0.02, 1.2  # The shortest and the longest drawn arrow, as shares of the robot's height.
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ def scenery(
 ) -> Scenery:
     """Return the drawable scene and the motion of one recorded environment.
 
-    The default environment is the environment in which the term ``at`` was nonzero first, or else the first
-    environment. The search for ``at`` covers only the training iteration ``iteration``, if an iteration is given.
+    By default, ``env`` is the environment in which the recorded number ``at`` was nonzero first, or else the first
+    environment. If ``iteration`` is given, only this training iteration is searched for ``at``.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -76,11 +76,12 @@ def screenshot(
 ) -> float:
     """Write a picture of the robot atomically and return the picture's simulated time, s.
 
-    ``time_s`` is the moment in simulated seconds, counted from the start of the training iteration ``iteration`` if
-    given. ``at`` is the moment as text: ``1.5s``, ``400ms``, ``90steps``, or a term such as
-    ``terminations.base_contact`` for the first time that the term is not zero. The default moment is the middle of the
-    training iteration, or of the last sample. The default environment is the environment in which the term ``at`` was
-    nonzero first, or else the first environment. An invalid moment, size, or path raises WheellegError.
+    ``time_s`` is the simulated time of the picture, s, from the start of the recording or of the training iteration
+    ``iteration``. ``at`` is the time as text: ``1.5s``, ``400ms``, ``90steps``, or a number such as
+    ``terminations.base_contact`` for the first time at which the number is nonzero. The default time is the middle of
+    the training iteration, or else of the last sample. The default of ``env`` is the environment in which the number
+    ``at`` was nonzero first, or else the first environment. The function raises WheellegError for an invalid time,
+    size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -90,7 +91,7 @@ def screenshot(
 
 
 def save(shown: Scenery, row: int, path: Path, width: int, height: int, *, caption: bool = True) -> None:
-    """Write the picture of a frame atomically."""
+    """Write a picture of one recorded frame atomically to a file."""
     kind = _kind(Path(path))
     buffer = io.BytesIO()
     image = Image.fromarray(picture(shown, row, width, height, caption=caption))
@@ -99,14 +100,14 @@ def save(shown: Scenery, row: int, path: Path, width: int, height: int, *, capti
 
 
 def picture(shown: Scenery, row: int, width: int, height: int, *, caption: bool = True) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3) of one frame."""
+    """Return a picture (height, width, 3) of one recorded frame."""
     return pictures(shown, [row], width, height, caption=caption)[0]
 
 
 def pictures(
     shown: Scenery, rows: Sequence[int], width: int, height: int, *, caption: bool = False
 ) -> list[NDArray[np.uint8]]:
-    """Return a picture (height, width, 3) of each chosen frame, all with the same distance between camera and robot."""
+    """Return a picture (height, width, 3) of each frame in ``rows``, with a constant distance from camera to robot."""
     require_size(width, height)
     finer = _FINER if _FINER * max(width, height) <= _LARGEST else 1
     found: list[tuple[int, Camera]] = []
@@ -144,7 +145,7 @@ def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float)
 
 
 def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None, iteration: int | None = None) -> int:
-    """Return the index of the frame at a moment that is given by the arguments of ``screenshot``."""
+    """Return the index of the recorded frame that the arguments select, which ``screenshot`` documents."""
     times = shown.motion.time
     everything = np.arange(len(times))
     if at is not None:
@@ -166,7 +167,7 @@ def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None
 
 
 def sample_at(shown: Scenery, iteration: int) -> Sample:
-    """Return the recorded sample of a training iteration; raise WheellegError if the iteration was not recorded."""
+    """Return the recorded sample of a training iteration. Raise WheellegError if the iteration was not recorded."""
     motion = shown.motion
     if motion.iteration is not None:
         for sample in shown.samples:
@@ -174,7 +175,7 @@ def sample_at(shown: Scenery, iteration: int) -> Sample:
                 return sample
     there = ", ".join(str(s.iteration) for s in shown.samples if s.iteration is not None) or "none"
     expected = f"an iteration near a recorded sample: {there}"
-    raise WheellegError(f"nothing was recorded at iteration {iteration}", expected=expected)
+    raise WheellegError(f"nothing was recorded at iteration {iteration} of the training", expected=expected)
 
 
 def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
@@ -183,7 +184,7 @@ def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment in which a term is first nonzero; None for a time or a term that is always zero."""
+    """Return the environment in which the number ``at`` is nonzero first; None if ``at`` is a time or always 0."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}
@@ -203,7 +204,7 @@ def _length(words: str) -> Length | None:
 
 
 def require_size(width: int, height: int) -> None:
-    """Raise WheellegError unless MuJoCo can draw a picture of this size, px."""
+    """Raise WheellegError unless MuJoCo can draw a picture of the given width and height, px."""
     if not (16 <= width <= _LARGEST and 16 <= height <= _LARGEST):
         expected = f"16 to {_LARGEST} pixels each"
         raise WheellegError(f"a picture of {width} x {height} cannot be drawn", expected=expected)
@@ -212,7 +213,7 @@ def require_size(width: int, height: int) -> None:
 def _kind(path: Path) -> str:
     kind = _KINDS.get(path.suffix.lower())
     if kind is None:
-        raise WheellegError(f"'{path}' is not an image file", expected="a name that ends with .png, .jpg or .webp")
+        raise WheellegError(f"'{path}' has no image suffix", expected="a name that ends with .png, .jpg or .webp")
     require_new(path)
     return kind
 
@@ -227,7 +228,7 @@ def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
         raise WheellegError(message, expected=expected, nearest=nearest_name(term, names))
     found = inside[np.isin(shown.motion.step[inside], _steps_of_term(source, entity))]
     if not len(found):
-        raise WheellegError(f"'{term}' is zero at every recorded step", expected="a term that happened")
+        raise WheellegError(f"the number '{term}' is zero at every recorded step", expected="a term that happened")
     return int(found[0])
 
 
@@ -244,5 +245,5 @@ def _nearest(times: NDArray[np.float64], rows: NDArray[np.intp], moment: float) 
     step = float(np.median(np.diff(own))) if len(own) > 1 else 1.0
     if not own[0] - 1.5 * step <= moment <= own[-1] + 1.5 * step:
         expected = f"a time from {own[0]:.2f} to {own[-1]:.2f} s"
-        raise WheellegError(f"{moment:g} s is not in the recording", expected=expected)
+        raise WheellegError(f"the recording does not contain the time {moment:g} s", expected=expected)
     return int(rows[np.argmin(np.abs(own - moment))])

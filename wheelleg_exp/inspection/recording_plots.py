@@ -34,7 +34,7 @@ class Plot:
     """A default figure: its name, its title, and a function that returns its panels, empty without data.
 
     ``is_of_all`` is true if the figure shows training scalars, which cover all environments. ``is_of_last`` is true if
-    the figure shows only the last sample of a training.
+    the figure shows only the last recorded sequence of control steps (sample) of a training.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Plot:
     is_of_last: bool = False
 
     def heading(self, source: Source) -> str:
-        """Return the figure's title. The title names the environment and the sample if several were recorded."""
+        """Return the figure's title. The title names the environment or sample if there are several."""
         is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
@@ -76,14 +76,14 @@ PAGES: dict[bool, tuple[str, ...]] = {
 
 
 def make(recording: Recording, name: str, *, selection: Selection | None = None) -> Figure:
-    """Return the default plot with a name such as ``tracking``."""
+    """Return the figure of a predefined plot by name, such as ``tracking``."""
     if name not in PLOTS:
         expected = "one of " + ", ".join(PLOTS)
-        raise WheellegError(f"there is no plot '{name}'", expected=expected, nearest=nearest_name(name, PLOTS))
+        raise WheellegError(f"there is no plot named '{name}'", expected=expected, nearest=nearest_name(name, PLOTS))
     plot, source = PLOTS[name], Source(recording, None, selection)
     panels = plot.panels(source)
     if not panels:
-        raise RunDirectoryError(f"'{recording.path}' has no data for the plot '{name}'")
+        raise RunDirectoryError(f"the recording '{recording.path}' has no data for the plot '{name}'")
     figure = tile(panels, title=plot.heading(source))
     figure.set_label(name)
     return figure
@@ -101,7 +101,7 @@ def default_page(recording: Recording, *, selection: Selection | None = None) ->
 
 
 def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selection | None = None) -> Figure:
-    """Return a figure of chosen terms, such as ``rewards.base_height``, over time."""
+    """Return a figure of the recorded numbers ``terms``, such as ``rewards.base_height``, over time."""
     source = Source(recording, selection=selection)
     panels = [panel for term in terms for panel in _term(source, term)]
     of_training = all((source.find(term) or "").startswith(f"{TRAINING}/") for term in terms)
@@ -111,10 +111,10 @@ def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selec
 def overlay(
     recordings: Mapping[str, Recording], terms: str | Sequence[str], *, selection: Selection | None = None
 ) -> Figure:
-    """Return a figure with one panel per number of the named terms, and one line per recording in each panel.
+    """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    By default, the terms depend on the purpose of the recordings. The function raises RunDirectoryError if the
-    recordings have no common term.
+    If ``terms`` is empty, the purpose of the recordings determines the recorded numbers. The function raises
+    RunDirectoryError if the recordings have no number in common.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
@@ -126,20 +126,20 @@ def overlay(
         common = [f"{TRAINING}/{key}" for key in plots_training.CURVES if not key.startswith("Perf/")]
     panels = [panel for term in common for panel in _overlaid(sources, term, small=True)]
     if not panels:
-        raise RunDirectoryError("the recordings have no common term to overlay")
+        raise RunDirectoryError("the recordings have no number in common that a plot could show")
     return tile(panels)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure atomically as PNG, SVG, or PDF, by the file's suffix."""
+    """Write a figure atomically to a PNG, SVG, or PDF file. The file's suffix selects the format."""
     write_new(Path(path), figure_bytes(figure, require_path(Path(path))))
 
 
 def require_path(path: Path) -> str:
-    """Return the image format for a new file; raise WheellegError for an unknown suffix or an existing file."""
+    """Return the image format for a new file. Raise WheellegError if the suffix is unknown or the file exists."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in KINDS:
-        raise WheellegError(f"'{path}' is not a plot file", expected="a name that ends with .png, .svg or .pdf")
+        raise WheellegError(f"'{path}' has no plot suffix", expected="a name that ends with .png, .svg or .pdf")
     require_new(path)
     return kind
 
@@ -147,7 +147,7 @@ def require_path(path: Path) -> str:
 def _term(source: Source, term: str) -> list[Panel]:
     entity = source.find(term)
     if entity is None:
-        source.series(source.path(*term.split(".")))  # An unknown entity raises an error.
+        source.series(source.path(*term.split(".")))  # Raise an error for an unknown name of a recorded number.
         return []
     if entity.startswith(f"{TRAINING}/"):
         series = source.series(entity)
@@ -166,7 +166,7 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
     if not found:
         if small:
             return []
-        next(iter(sources.values())).series(term)  # An unknown entity raises an error.
+        next(iter(sources.values())).series(term)  # Raise an error for an unknown name of a recorded number.
     series = {label: sources[label].series(entity) for label, entity in found.items()}
     names = max(series.values(), key=lambda s: s.values.shape[1]).names
     word = term.removeprefix(f"{TRAINING}/")

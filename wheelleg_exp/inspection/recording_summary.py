@@ -42,10 +42,10 @@ class Trend:
 class Sample:
     """A sample: the episodes of all recorded environments that were recorded in one part of a training.
 
-    Pairs of training iterations and of control steps contain the values of the first and of the last recorded frame.
-    ``episodes`` counts the complete episodes, and ``cut`` counts the incomplete episodes. Averages are over complete
-    episodes. ``survival`` is the share of the complete episodes that reached the time-out. Averages are None without
-    complete episodes.
+    The pairs of training iterations and of control steps belong to the first and the last recorded frame. ``episodes``
+    counts the complete episodes, and ``cut`` counts the incomplete episodes. Averages are over complete episodes.
+    ``survival`` is the share of the complete episodes that reached the time-out. All averages are None if there is no
+    complete episode.
     """
 
     iteration: int
@@ -60,7 +60,7 @@ class Sample:
 
 
 def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
-    """Return the trend of every training scalar over the selected iterations, by the scalar's name."""
+    """Return the trend of every training scalar over the selected iterations, sorted by the scalar's name."""
     found = []
     for entity in recording.entities():
         parts = [unescaped(part) for part in parts_of(entity)]
@@ -79,10 +79,10 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 
 
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
-    """Return the recorded samples of a training; ``longest`` is the maximum episode length in control steps.
+    """Group the recorded episodes of a training into samples. ``longest`` is the maximum episode length, steps.
 
-    Each environment joins a sample at the start of its next episode. So the first episodes of a sample start within the
-    maximum episode length.
+    A sample of an environment starts with the environment's next episode. So the first episodes of all environments in
+    a sample start within the maximum episode length.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -116,7 +116,7 @@ def _sample(found: list[Episode]) -> Sample:
 
 @dataclass(frozen=True)
 class Span:
-    """The first and the last recorded value of one timeline; ``sim_time`` is in s."""
+    """The first and the last recorded value of one timeline. The unit of ``sim_time`` is s."""
 
     first: float
     last: float
@@ -133,11 +133,11 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Statistics of episodes. All attributes except the first four counts are computed over complete episodes.
+    """Statistics of episodes. All attributes but the first four counts cover only complete episodes.
 
-    ``begun_before`` counts episodes that were running when recording started, and ``unfinished`` counts episodes that
-    were running when recording paused or stopped. In ``ended_by``, an episode with two terminations counts once, under
-    both names.
+    ``begun_before`` is the number of episodes that were running when recording started. ``unfinished`` is the number of
+    episodes that were running when recording paused or stopped. In ``ended_by``, an episode with two simultaneous
+    terminations has one entry that contains both names.
     """
 
     count: int
@@ -157,11 +157,11 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None for another tool's recording. ``sample`` is the last sample of a training that contains a
-    complete episode; all statistics are computed over this sample. ``sample`` is None if rows were selected and outside
-    of training; then all statistics are computed over the selected rows. ``frames`` are the number of frames in these
-    statistics and the number of recorded frames. ``notes`` are messages about the recording itself, such as a size
-    limit that was reached. ``base`` are statistics of the base's height (m), roll, and pitch (rad).
+    ``purpose`` is None if another program wrote the recording. ``sample`` is the last sample of a training with a
+    complete episode, and all statistics cover this sample. If the user selected rows, or if the recording is not of a
+    training, ``sample`` is None and all statistics cover the selected rows. ``frames`` contains the number of frames in
+    the statistics and the number of all recorded frames. ``notes`` are messages about the recording itself, such as a
+    size limit that was reached. ``base`` contains statistics of the base's height (m), roll, and pitch (rad).
     """
 
     path: str
@@ -188,17 +188,17 @@ class Summary:
     samples: list[Sample]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary of the recording as a dictionary."""
+        """Return the summary of the recording as a dictionary for JSON."""
         return {**asdict(self), "health": self.health.as_dict()}
 
 
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
-    """Return the summary of a recording. The summary contains None or an empty list for data that was not recorded.
+    """Return the summary of a recording. In the summary, data that was not recorded is None or an empty list.
 
-    Statistics are computed over the selected rows; by default over all rows, or over the last sample of a training. The
-    list of contents, the samples, and the training scalars always cover the whole recording.
+    Statistics cover the selected rows. The default is all rows, or, for a training, the last sample. The table of
+    contents, the samples, and the training scalars always cover the whole recording.
     """
-    with np.errstate(all="ignore"):  # numpy would warn about NaN and inf in a recording.
+    with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))
 
 

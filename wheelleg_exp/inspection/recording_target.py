@@ -1,4 +1,4 @@
-"""Resolve the command-line argument RUN or FILE to the file of a rerun recording."""
+"""Find the file of the rerun recording that a command-line argument names."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _SUFFIX = ".rrd"
 
 @dataclass(frozen=True)
 class Target:
-    """The file of a rerun recording, and the training run that wrote the file; None for a recording without a run."""
+    """The file of a rerun recording, and the training run that wrote the file, or None if no run wrote the file."""
 
     path: Path
     run: RunDirectory | None
 
     @property
     def status(self) -> str | None:
-        """The status of the run if the file is the recording of its training, or None."""
+        """The status of the training run, or None if the file is not the recording of a run's training."""
         from wheelleg_exp.run.run_list import effective_status
 
         if self.run is None or self.path.resolve() != self.run.recording.resolve():
@@ -36,31 +36,31 @@ class Target:
 
     @contextmanager
     def resting(self) -> Iterator[None]:
-        """Lock the recording's run directory inside the block, so that no process can resume the run."""
+        """Lock the run directory of the recording inside the block, so that no process can resume the run meanwhile."""
         run = self.run if self.status is not None else None
-        # A user without write access to the lock file cannot resume the run, so no lock is needed.
+        # Without write access to the lock file, no lock is needed, because the user cannot resume the run.
         with ExitStack() as stack:
             if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
                 stack.enter_context(RunLock(run).held())
             yield
 
     def others(self) -> list[Path]:
-        """Return the paths of all recordings of the run except this recording."""
+        """Return the paths of all recordings of the run, without this recording."""
         found = recordings_of(self.run) if self.run is not None else []
         return [path for path in found if path.resolve() != self.path.resolve()]
 
 
 def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
-    """Return the rerun recording that a command-line argument names.
+    """Return the rerun recording that a command-line argument (run or file) names.
 
-    The argument is a recording's file; a folder with a recording, such as ``<run>/play/<time>``; or a run by path, id,
-    or ``latest``, for the recording of the training. With ``play``, the argument names a run, and the function returns
-    the recording of the run's newest play.
+    The argument is a recording's file, a folder with a recording such as ``<run>/play/<time>``, or a run: its path, its
+    id, or ``latest``. For a run, the function returns the recording of the training, or, if ``play`` is true, the
+    recording of the newest play.
     """
     path = Path(word)
     if path.exists() and not names_a_run(word):
         if play:
-            raise WheellegError(f"'{path}' is not a run", key="--play", expected="a run with a recorded play")
+            raise WheellegError(f"'{path}' is not a run directory", key="--play", expected="a run with a recorded play")
         return Target(_in_folder(path) if path.is_dir() else path, _run_around(path))
     if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
         raise RunDirectoryError(f"'{path}' is a broken link", expected="a recording")
@@ -74,7 +74,7 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     plays = sorted(path for path in run.play.glob(f"*/{RECORDING}") if path.is_file())
     if not plays:
         expected = f"one made by 'wheelleg play {run.id}'"
-        raise RunDirectoryError(f"run '{run.id}' has no recorded play", key="--play", expected=expected)
+        raise RunDirectoryError(f"the run '{run.id}' has no recording of a play", key="--play", expected=expected)
     return Target(plays[-1], run)
 
 
@@ -121,6 +121,6 @@ def _run_around(path: Path) -> RunDirectory | None:
         if (folder / MANIFEST_NAME).is_file():
             try:
                 return RunDirectory.open(folder, folder.parent)
-            except WheellegError:  # A damaged run directory can still contain a readable recording.
+            except WheellegError:  # The run directory is damaged, but its recording can still be readable.
                 return None
     return None

@@ -1,4 +1,4 @@
-"""Draw videos of the robot with MuJoCo from a rerun recording."""
+"""Draw videos of a recorded robot with MuJoCo's renderer."""
 
 from __future__ import annotations
 
@@ -52,25 +52,25 @@ def video(
     caption: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Video:
-    """Write a video of the robot atomically, as H.264 in an .mp4 file, which browsers can play.
+    """Write a video of the recorded robot atomically to a file: H.264 in .mp4, which browsers can play.
 
     By default, the video shows the first environment: a few samples of a training in sequence, or all frames of a play
-    or evaluation. ``speed`` is simulated seconds per second: 0.25 is slow motion. ``width`` and ``height`` are even
-    numbers of pixels. ``progress`` is called with the number of finished video frames and the total number of video
-    frames. A wrong argument raises WheellegError.
+    or evaluation. ``speed`` is simulated seconds per second: 0.25 is slow motion. ``width`` and ``height`` of the video
+    are even numbers of pixels. ``progress`` is called with the number of finished video frames and the total number of
+    video frames. The function raises WheellegError for an invalid argument.
     """
     path = Path(path)
     if path.suffix.lower() not in video_file.KINDS:
         expected = "a name that ends with " + ", ".join(video_file.KINDS)
-        raise WheellegError(f"'{path}' is not a video file", expected=expected)
+        raise WheellegError(f"'{path}' has no supported video suffix", expected=expected)
     require_new(path)
     require_size(width, height)
     if width % 2 or height % 2:
-        raise WheellegError(f"a video of {width} x {height} cannot be encoded", expected="even numbers of pixels")
+        raise WheellegError(f"a video of {width} x {height} px cannot be encoded", expected="even numbers of pixels")
     if not (1 <= fps <= 240):
-        raise WheellegError(f"a video cannot have {fps:g} pictures a second", key="--fps", expected="1 to 240")
+        raise WheellegError(f"a video cannot have {fps:g} frames per second", key="--fps", expected="1 to 240")
     if not (1e-3 <= speed <= 1e3):
-        raise WheellegError(f"a video cannot have a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
+        raise WheellegError(f"the playback speed cannot be {speed:g}", key="--speed", expected="0.001 to 1000")
     chosen = selection or Selection()
     shown = scenery(recording, chosen.env_id)
     takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
@@ -89,20 +89,20 @@ def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
         known = [str(sample.iteration) for sample in shown.samples if sample.iteration is not None]
         iterations = f"; samples start at the iterations {', '.join(known)}" if known else ""
         expected = f"times from {motion.time[0]:.2f} to {motion.time[-1]:.2f} s{iterations}"
-        raise WheellegError("no selected frame was recorded", expected=expected)
+        raise WheellegError("no frame was recorded in the selected time", expected=expected)
     return found
 
 
 def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float) -> NDArray[np.intp]:
-    """Return for each video frame the index of the last recorded frame at or before the video frame's time."""
+    """Return the index of the recorded frame for each video frame: the last frame until the video frame's time."""
     time = np.nan_to_num(shown.motion.time[rows])
     spacing = float(np.median(np.diff(time))) if len(time) > 1 else speed / fps
     count = max(1, round((time[-1] - time[0] + spacing) * fps / speed))
     if count > _MOST_PICTURES:
         expected = f"at most {_MOST_PICTURES}: --from, --to, --speed"
-        raise WheellegError(f"the video would have {count} pictures", expected=expected)
+        raise WheellegError(f"the video would have too many frames: {count}", expected=expected)
     moments = time[0] + np.arange(count) * speed / fps
-    # The small offset compensates rounding errors of recorded simulated times.
+    # The small offset compensates for rounding errors in the recorded simulated times.
     return np.asarray(rows[np.clip(np.searchsorted(time, moments + 1e-9, side="right") - 1, 0, len(rows) - 1)])
 
 

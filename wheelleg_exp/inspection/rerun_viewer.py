@@ -34,13 +34,18 @@ from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
 from wheelleg_exp.rendering.renderer import NoGraphics
 
-_CAUSES = ("adapter", "panic", "error", "failed")  # Words in the line that explains a failure.
+_CAUSES = (
+    "adapter",
+    "panic",
+    "error",
+    "failed",
+)  # The viewer's line about a failure contains such a word.
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Yield the process of rerun's viewer and the file with the viewer's output. The viewer is offline."""
+    """Start rerun's viewer without network access. Yield the viewer's process and the file with the viewer's output."""
     command = [rerun_program(), "--bind", LOOPBACK, *arguments]
     with (
         tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder,
@@ -51,7 +56,7 @@ def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], 
 
 
 def failure_line(output: IO[bytes]) -> str:
-    """Return the line of the viewer's output that best explains why the viewer failed."""
+    """Return the line of the viewer's output that most likely explains the viewer's failure."""
     output.seek(0)
     text = output.read().decode(errors="replace")
     lines = [line for line in (_COLOUR.sub("", raw).strip() for raw in text.splitlines()) if line]
@@ -82,7 +87,7 @@ Files = Mapping[str, tuple[str, bytes]]
 
 
 class WebViewer:
-    """A web server of rerun's web viewer and one recording; port 0 means a free port."""
+    """A local web server for rerun's web viewer and one recording. Port 0 means a free port."""
 
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
@@ -126,7 +131,7 @@ def viewer_files() -> Files:
                 return {f"/{name}": _fetched(port, name) for name in _FILES}
             except OSError as error:
                 if process.poll() is not None or time.monotonic() > end:
-                    raise SimulationFailure(f"the web viewer does not start: {failure_line(output)}") from error
+                    raise SimulationFailure(f"rerun's web viewer does not start: {failure_line(output)}") from error
                 time.sleep(0.05)
 
 
@@ -144,7 +149,7 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        pass  # A browser can close the connection at any time.
+        pass  # Ignore a closed connection, because a browser can close the connection at any time.
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -166,17 +171,17 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, *, with_body: bool) -> None:
         _, port = cast("tuple[str, int]", self.server.server_address)
         if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
-            self._reply(HTTPStatus.FORBIDDEN)  # This prevents DNS rebinding attacks.
+            self._reply(HTTPStatus.FORBIDDEN)  # Reject other host names to prevent DNS rebinding.
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            # The page shows the recording in rerun's web viewer.
+            # Redirect to the URL that shows the recording in rerun's web viewer.
             page = f"http://{self.headers['Host']}/"
             query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
             self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
         elif address.path == RECORDING and self._recording.is_file():
             with self._recording.open("rb") as file, suppress(ConnectionError):
-                # A training can append to the recording while the server sends the file.
+                # Send a fixed number of bytes, because a training can append to the recording meanwhile.
                 left = file.seek(0, 2)
                 file.seek(0)
                 self._reply(ok, {"Content-Type": "application/octet-stream", **_HEADERS}, left)
@@ -206,22 +211,22 @@ def open_window(path: Path) -> None:
     """Show a recording in a window of rerun's viewer until the user closes the window."""
     if not has_display():
         expected = "a desktop; --web serves the viewer for a browser, --screenshot OUT.png --viewer draws a picture"
-        raise WheellegError("there is no display for a window", key="--open", expected=expected)
+        raise WheellegError("this machine has no display for a viewer window", key="--open", expected=expected)
     with viewer(["--port", str(free_port()), "--hide-welcome-screen", str(path.absolute())]) as (process, output):
         if process.wait() != 0:
-            raise SimulationFailure(f"the viewer ended with status {process.returncode}: {failure_line(output)}")
+            raise SimulationFailure(f"rerun's viewer ended with status {process.returncode}: {failure_line(output)}")
 
 
 def has_display() -> bool:
-    """Return whether the machine has a display for a window."""
+    """Return whether this machine has a display on which a window can be opened."""
     return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
-    """Serve rerun's web viewer and a recording on the loopback address until Ctrl-C raises KeyboardInterrupt.
+    """Serve a recording in rerun's web viewer on the loopback address, until Ctrl-C raises KeyboardInterrupt.
 
-    ``say`` prints a line to the user; the first line ends with the URL. Port 0 means a free port. ``browser`` opens the
-    URL in a browser, if a browser is installed.
+    The function ``say`` prints a line for the user. The first printed line ends with the URL. Port 0 means a free port.
+    If ``browser`` is true, an installed browser opens the URL.
     """
     with WebViewer(path, port) as running:
         say(f"the viewer is at {running.url}")
@@ -232,18 +237,18 @@ def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: boo
 
 
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
-    """Write a screenshot of rerun's viewer with a recording atomically.
+    """Write a screenshot of a recording in rerun's viewer atomically to a file.
 
-    ``time_s`` is the simulated time to show, s; None for the viewer's default. Without a Vulkan driver, the function
-    raises NoGraphics, whose message names the packages to install.
+    ``time_s`` is the simulated time to show, s. None means the viewer's default time. Without a Vulkan driver, the
+    function raises NoGraphics, whose message names the packages to install.
     """
     if output.suffix.lower() != ".png":
-        raise WheellegError(f"'{output}' is not an image file", expected="a name that ends with .png")
+        raise WheellegError(f"'{output}' has no image suffix", expected="a name that ends with .png")
     require_new(output)
     port = free_port()
     arguments = ["--headless", "--port", str(port), "--window-size", f"{width}x{height}", "--hide-welcome-screen"]
     with viewer(arguments) as (process, log), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # rerun warns that its ViewerClient class is experimental.
+        warnings.simplefilter("ignore")  # Suppress rerun's warning that the class ViewerClient is experimental.
         try:
             client = _connected(port, process, log)
             client.open(str(path.absolute()))
@@ -251,11 +256,11 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # A viewer without a driver first answers and then stops.
+            with suppress(subprocess.TimeoutExpired):  # Without a driver, the viewer answers and then stops.
                 process.wait(_ENDING_S)
             if process.returncode is not None:
                 raise _no_graphics(log) from error
-            raise SimulationFailure(f"the viewer cannot draw: {str(error).splitlines()[0]}") from error
+            raise SimulationFailure(f"rerun's viewer cannot draw: {str(error).splitlines()[0]}") from error
     write_new(output, picture)
 
 
@@ -270,7 +275,7 @@ def _connected(port: int, process: subprocess.Popen[bytes], output: IO[bytes]) -
             return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         except ConnectionError as error:
             if time.monotonic() > end:
-                raise SimulationFailure(f"the viewer does not answer: {failure_line(output)}") from error
+                raise SimulationFailure(f"rerun's viewer does not answer: {failure_line(output)}") from error
             time.sleep(0.1)
 
 

@@ -27,7 +27,7 @@ class Length:
     is_steps: bool
 
     def steps(self, step_dt: float | None) -> int:
-        """Return the length of time as a number of control steps of ``step_dt`` seconds, rounded."""
+        """Convert the length of time to a rounded number of control steps of ``step_dt`` seconds."""
         if self.is_steps:
             return round(self.value)
         if not step_dt:
@@ -37,21 +37,21 @@ class Length:
 
 
 def parse_length(text: str, key: str) -> Length:
-    """Parse a length of time; a number without a unit is in seconds."""
+    """Parse a length of time from text. A number without a unit is in seconds."""
     match = _WORDS.fullmatch(text)
     if match and match.group(2) in (*_SECONDS, *_STEPS) and math.isfinite(float(match.group(1))):
         value, unit = float(match.group(1)), match.group(2)
         return Length(value, True) if unit in _STEPS else Length(value * _SECONDS[unit], False)
     expected = "a number with s, ms or steps, such as 0.5s"
-    raise WheellegError(f"'{text}' is not a length of time", key=key, expected=expected)
+    raise WheellegError(f"'{text}' is not a valid length of time", key=key, expected=expected)
 
 
 @dataclass(frozen=True)
 class Selection:
-    """A selection of a recording's rows by environment, training iterations, and moments, with inclusive bounds.
+    """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
-    An attribute that is None does not restrict the selection. A time selects the nearest control step, so that users
-    can enter rounded times.
+    An attribute that is None does not restrict the selection. A time bound is moved to the nearest control step, so
+    that users can enter rounded times.
     """
 
     env_id: int | None = None
@@ -72,7 +72,7 @@ class Selection:
         return [self.env_id]
 
     def apply(self, table: pa.Table) -> pa.Table:
-        """Return the selected rows of a table with the timelines ``step``, ``sim_time`` (s) and ``iteration``."""
+        """Return the selected rows of a table that has the columns ``step``, ``sim_time`` (s), and ``iteration``."""
         mask = np.ones(len(table), dtype=bool)
         if self.iterations is not None:
             values = _timeline(table, ITERATION, "--iteration")
@@ -85,16 +85,16 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether the selection contains a moment; an unknown moment is not selected."""
+        """Return whether the selection contains a row with the given control step, time, and iteration."""
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
-        except WheellegError:  # The moment has no value on the timeline that the selection restricts.
+        except WheellegError:  # The row has no value on the timeline by which the selection is restricted.
             return False
 
 
 def nothing_chosen(recording: Recording) -> WheellegError:
-    """Return the error for a selection without rows; the message names the recorded range."""
+    """Return the error for a selection that contains no row. The message states the recorded range."""
     words = {SIM_TIME: "times from {:.3f} to {:.3f} s", STEP: "steps {:.0f} to {:.0f}"}
     words[ITERATION] = "iterations {:.0f} to {:.0f}"
     spans = [text.format(*reach) for name, text in words.items() if (reach := recording.reach(name)) is not None]
@@ -105,7 +105,7 @@ def require_order(selection: Selection) -> None:
     """Raise WheellegError if the end of a selection is before its start."""
     begin, end = selection.begin, selection.end
     if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
-        raise WheellegError("the end is before --from", key="--to", expected=f"{begin.value:g} or later")
+        raise WheellegError("the selected time ends before --from", key="--to", expected=f"{begin.value:g} or later")
 
 
 def _half_step(table: pa.Table) -> float:
@@ -113,23 +113,25 @@ def _half_step(table: pa.Table) -> float:
         return _CLOSE
     ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
     lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
-    # The control steps in another program's recording can have different durations.
+    # In another program's recording, control steps can have different durations.
     return max(0.5 * lengths[1], _CLOSE) if math.isclose(*lengths, rel_tol=1e-3) else _CLOSE
 
 
 def parse_iterations(text: str) -> tuple[int, int]:
-    """Parse a range of training iterations such as ``50`` or ``50-60`` into its first and last iteration."""
+    """Parse training iterations such as ``50`` or ``50-60``. Return the first and the last iteration."""
     first, _, last = text.partition("-")
     if first.isdecimal() and (last.isdecimal() or text == first):
         if last and int(last) < int(first):
-            raise WheellegError(f"'{text}' ends before its start", key="--iteration", expected=f"{last}-{first}")
+            raise WheellegError(
+                f"the range '{text}' ends before its start", key="--iteration", expected=f"{last}-{first}"
+            )
         return int(first), int(last or first)
     expected = "a number, or a range such as 50-60"
-    raise WheellegError(f"'{text}' is not an iteration", key="--iteration", expected=expected)
+    raise WheellegError(f"'{text}' is not a training iteration or a range", key="--iteration", expected=expected)
 
 
 def _timeline(table: pa.Table, name: str, key: str) -> np.ndarray:
     if name not in table.column_names:
         have = [column for column in (STEP, SIM_TIME, ITERATION) if column in table.column_names]
-        raise WheellegError(f"the numbers have no timeline '{name}'", key=key, expected="one of " + ", ".join(have))
+        raise WheellegError(f"the recording has no timeline '{name}'", key=key, expected="one of " + ", ".join(have))
     return np.asarray(table.column(name))

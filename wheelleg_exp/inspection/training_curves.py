@@ -16,10 +16,9 @@ from wheelleg_exp.inspection.plot_style import BLUE, INK, MUTED, VERMILLION, Pan
 ITERATIONS = "iteration"
 _SMOOTHED_FROM = 60
 _WINDOWS = 40
-_LOG_FROM = 50.0  # A curve is drawn on a logarithmic axis if its largest value exceeds 50 times its smallest value.
+_LOG_FROM = 50.0  # The axis of a curve is logarithmic if the curve's largest value is over 50 times its smallest value.
 _SHOWN_TERMS = 7
-# The report draws one curve for each of these training scalars. The tracking errors of commands follow the second
-# curve.
+# The training report draws one curve for each of these scalars, and tracking errors after the second curve.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -30,8 +29,8 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# Training scalars with these prefixes are tracking errors of commands. The report draws only the first prefix that the
-# training logged.
+# Training scalars with these prefixes are tracking errors of commands.
+# The training report uses only the first of the prefixes that the training logged.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
@@ -44,7 +43,7 @@ def learning(scalars: Scalars) -> list[Panel]:
 
 
 def endings(scalars: Scalars) -> list[Panel]:
-    """Return plot panels of the share of episodes that ended by each termination term, over training iterations."""
+    """Return plot panels of the share of episodes that each termination term ended, over training iterations."""
     causes = _below(scalars, "Episode_Termination")
     if not causes:
         return []
@@ -66,8 +65,8 @@ def endings(scalars: Scalars) -> list[Panel]:
 def reward_course(scalars: Scalars) -> list[Panel]:
     """Return plot panels of the weighted reward terms over the training, and of their last values.
 
-    The training scalars of reward terms are an episode's sum divided by the maximum episode duration. If episodes end
-    early, these scalars are smaller than the recorded reward per second.
+    The training scalar of a reward term is the sum over an episode, divided by the maximum episode duration. If
+    episodes end early, the scalar is smaller than the recorded reward per second.
     """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
@@ -90,7 +89,7 @@ def reward_course(scalars: Scalars) -> list[Panel]:
 
 
 def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
-    """Return bars of each reward term's mean weighted value, with its share of the sum of absolute values."""
+    """Return a bar plot of the mean weighted value of each reward term, with its share of all absolute values."""
     order = sorted(means, key=lambda name: abs(means[name]))
     total = sum(abs(v) for v in means.values()) or 1.0
 
@@ -113,7 +112,7 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 
 
 def smooth(values: Numbers) -> Numbers:
-    """Return a centred moving mean over windows of a fortieth of the rows; the windows at both ends are shorter."""
+    """Return a centred moving mean. The window is a fortieth of the rows, and shorter at the two ends."""
     half = max(1, len(values) // _WINDOWS // 2)
     known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
@@ -125,7 +124,7 @@ def smooth(values: Numbers) -> Numbers:
 
 
 def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
-    """Draw a curve over iterations. A curve with many points is drawn pale, with its moving mean on top."""
+    """Draw a curve over iterations. A curve with many points is pale, and its moving mean is drawn on top."""
     values = drawable(y)
     if len(values) >= _SMOOTHED_FROM:
         axes.plot(x, values, color=shade, linewidth=0.8, alpha=0.3)
@@ -135,7 +134,7 @@ def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None,
 
 
 def over_iterations(axes: Axes, label: str = "") -> None:
-    """Label the axes of a plot panel over training iterations."""
+    """Label the axes of a plot panel whose horizontal axis is the training iteration."""
     axes.set_xlabel(ITERATIONS)
     axes.set_ylabel(label)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))

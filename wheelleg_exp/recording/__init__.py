@@ -11,6 +11,6 @@
 
 import os
 
-# rerun reads RUST_LOG when Python imports rerun. An rrd file that is still being written has no index, and rerun would
-# warn about each file without an index.
+# rerun reads the variable RUST_LOG when Python imports rerun.
+# A recording that is still being written has no index, and rerun would warn about each file without an index.
 os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")

@@ -1,7 +1,7 @@
 """The layout of rerun's viewer: the robot on the left, plots and texts on the right.
 
-The recording of a training opens with the learning curves, of a play with the robot's motion, and of an evaluation with
-the metrics.
+The viewer first shows the learning curves for a training, the robot's motion for a play, and the metrics for an
+evaluation.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.layout import DOCUMENTS, TRAINING, EnvPaths, join, join_key
 
 Purpose = Literal["training", "play", "evaluation"]
-FIGURES = "figures"  # The recorded text `figures` contains the measured metrics.
+FIGURES = "figures"  # The recorded text document `figures` contains the metrics of an evaluation.
 _BACKGROUND = (30, 33, 38)
 
 _HEADLINES = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std", "Loss/learning_rate")
@@ -31,7 +31,7 @@ _GROUPS = {
 
 @dataclass(frozen=True)
 class EnvLayout:
-    """The facts about one recorded environment that determine the layout of rerun's viewer.
+    """The properties of one recorded environment that determine the layout of rerun's viewer.
 
     ``root`` is the rerun entity of the robot's base, and ``size`` is the height of the robot in m. ``joints`` maps each
     joint to True if its actuator controls the position, and to False if it controls the velocity.
@@ -51,10 +51,10 @@ class EnvLayout:
 def blueprint(
     envs: Sequence[EnvLayout], purpose: Purpose, *, documents: Sequence[str], training: Sequence[str]
 ) -> rrb.Blueprint:
-    """Return the layout of rerun's viewer, whose camera follows the robot of the first environment.
+    """Return the layout of rerun's viewer. The viewer's camera follows the robot of the first environment.
 
-    ``purpose`` determines which tab is first. ``documents`` are the names of the recorded texts, and ``training`` the
-    keys of the recorded training scalars.
+    ``purpose`` (training, play, or evaluation) determines the first tab of the viewer. ``documents`` are the names of
+    the recorded texts, and ``training`` the keys of the recorded training scalars.
     """
     tabs = [tab for env in envs for tab in _env_tabs(env, several=len(envs) > 1)]
     if purpose == "training":
@@ -68,13 +68,13 @@ def blueprint(
         rrb.Horizontal(_robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # The learning curves and the motion of a training have only the timeline of control steps in common.
+        # In a training, only the timeline of control steps exists for both the learning curves and the robot's motion.
         rrb.TimePanel(state="collapsed", timeline=layout.STEP if purpose == "training" else layout.SIM_TIME),
     )
 
 
 def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
-    """Return the 3D view, in which the camera follows the first robot and colliders are hidden."""
+    """Return the viewer's 3D view. The camera follows the first robot, and collision shapes are hidden."""
     size, root = envs[0].size, envs[0].root
     distance = size * (1.0 + 0.6 * (len(envs) - 1))
     position, target, up = [1.3 * distance, -1.45 * distance, 1.1 * distance], [0.0, 0.0, 0.4 * size], [0.0, 0.0, 1.0]
@@ -95,7 +95,7 @@ def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
 def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
     data = env.paths.data
     joints = []
-    # Each joint has its own plot, because joints at distant positions would hide each other's tracking errors.
+    # Draw one plot per joint, because small tracking errors are invisible in a plot of joints at distant positions.
     for joint, is_held in env.joints.items():
         kind, unit = ("position", "rad") if is_held else ("velocity", "rad/s")
         parts = (data("joints", joint, part) for part in (kind, f"{kind}_target"))

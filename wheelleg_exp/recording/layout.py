@@ -1,7 +1,7 @@
-"""Define the rerun entity paths of a recording, by environment and subject.
+"""Define the paths of the rerun entities in a recording.
 
-A single recorded environment has plain paths (``base/height``, ``world/<body>``). Each of several recorded environments
-has its own branch (``env_3/base/height``, ``world/env_3/<body>``).
+If one environment is recorded, its entity paths have no prefix (``base/height``, ``world/<body>``). If several
+environments are recorded, each environment has its own prefix (``env_3/base/height``, ``world/env_3/<body>``).
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
 LOG = "log"
-HIDDEN = "__"  # rerun's viewer hides entities whose path starts with two underscores.
+HIDDEN = "__"  # rerun's viewer hides every entity whose path starts with two underscores.
 PROPERTIES = "__properties"
 OWN = "wheelleg"  # A recording stores its properties under the name `wheelleg`.
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
 
-FORMAT_VERSION = 2  # Recordings of format 1 have no properties, and store one vector for each observation group.
+FORMAT_VERSION = 2  # Old recordings (format 1) have no properties, and store one vector for each observation group.
 STEP, SIM_TIME, ITERATION = "step", "sim_time", "iteration"
 
 _METRES, _ANGLE, _SPEED, _TURNING, _TORQUE = "m", "rad", "m/s", "rad/s", "N·m"
@@ -43,25 +43,25 @@ _UNITS: dict[tuple[str, ...], str] = {
 
 
 def join(*parts: str) -> str:
-    """Join literal parts to a rerun entity path and escape special characters."""
-    import rerun as rr  # The import of rerun takes 0.25 s.
+    """Join names to a rerun entity path, and escape special characters in the names."""
+    import rerun as rr  # Import rerun only here, because the import takes 0.25 s.
 
     return "/".join(rr.escape_entity_path_part(part) for part in parts if part)
 
 
 def join_key(root: str, key: str) -> str:
-    """Return the rerun entity path of a scalar's key, such as ``Episode_Reward/alive``, below the entity ``root``."""
+    """Return the rerun entity path, below ``root``, for the key of a scalar such as ``Episode_Reward/alive``."""
     return join(root, *key.split("/"))
 
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """The rerun entity paths of one recorded environment. ``branch`` is empty if only one environment is recorded."""
+    """The rerun entity paths of one recorded environment. The prefix ``branch`` is empty if there is only one."""
 
     branch: str
 
     def data(self, *parts: str) -> str:
-        """Return the rerun entity path of numbers or texts of the environment."""
+        """Return the rerun entity path of recorded numbers or texts of the environment."""
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:
@@ -74,7 +74,7 @@ class EnvPaths:
 
 
 def unit(entity: str) -> str | None:
-    """Return the unit of an entity's numbers; None when the numbers have no unit or several units."""
+    """Return the unit of a rerun entity's numbers; None if the numbers have no unit or different units."""
     parts = entity.strip("/").split("/")
     if parts[0].startswith("env_") and len(parts) > 2:
         parts = parts[1:]
@@ -85,6 +85,6 @@ def unit(entity: str) -> str | None:
 
 
 def key_below(root: str, entity: str) -> str | None:
-    """Return the key whose path ``join_key(root, key)`` is ``entity``; None for an entity outside ``root``."""
+    """Return a scalar's key from its rerun entity path (inverse of ``join_key``); None for a path outside ``root``."""
     head = f"{root}/"
     return entity.removeprefix(head).replace("\\", "") if entity.startswith(head) else None

@@ -1,4 +1,4 @@
-"""The config section ``recording``, and the choice of the episodes of a training that are recorded."""
+"""Define the config section ``recording``, and choose the episodes of a training that are recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """The config section ``recording``. Only options that old runs lack have a default.
+    """The config section ``recording``. An option has a default only if old runs lack the option.
 
     Attributes:
         enabled: whether a recording is written.
@@ -32,10 +32,10 @@ class RecordingOptions:
 
 
 class Sample:
-    """A choice of the control steps of one environment that are recorded; ``steps`` are the recorded control steps.
+    """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    A sample starts with the next episode, and ends with the episode in which the sample reaches its number of steps. A
-    checkpoint need not contain the state of a sample, because the state follows from the recorded steps.
+    A sample starts with the next episode, and ends with the episode in which the sample reaches the requested number of
+    steps. The state of a sample follows from the recorded steps, so checkpoints do not contain the state of a sample.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Sample:
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
         """Start or resume a sample of which ``taken`` control steps are already recorded.
 
-        After ``enough`` recorded control steps, the sample includes no further episode; 0 records nothing. After
+        After ``enough`` recorded control steps, no further episode is recorded. The value 0 records nothing. After
         ``most`` recorded control steps, the current episode is truncated. ``is_in_episode`` is true if the current
         episode is being recorded.
         """
@@ -54,12 +54,12 @@ class Sample:
         self._is_in_episode = is_in_episode and enough > 0
 
     def takes(self, episode_step: int) -> bool:
-        """Return whether to record a control step, given its number within the episode, counted from 1."""
+        """Return whether to record a control step with the given number within the episode, from 1."""
         begins = episode_step == 1 and self._taken < self._enough
         self._is_in_episode = (self._is_in_episode or begins) and self._taken < self._most
         return self._is_in_episode
 
     def took(self, *, ends: bool) -> None:
-        """Count a recorded control step; ``ends`` is true if the episode ended with this step."""
+        """Count a recorded control step. ``ends`` is true if the episode ended with this control step."""
         self._taken += 1
         self._is_in_episode = not ends

@@ -1,6 +1,6 @@
 """Run rerun's command-line program, which rewrites recordings.
 
-A rewritten recording has few large chunks instead of thousands of small ones, and an index at its end.
+A rewritten recording has a few large data chunks instead of thousands of small chunks, and has an index at the end.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def rerun_program() -> str:
 def run_rerun(*words: str) -> tuple[str | None, list[str]]:
     """Run ``rerun rrd`` with arguments.
 
-    Return the reason of a failure (None on success) and the lines of rerun's log.
+    Return the reason of the program's failure, or None, and the lines of the program's log.
     """
     command = [rerun_program(), "rrd", *words]
     try:
@@ -48,9 +48,9 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 
 
 def optimize_recording(path: Path) -> str | None:
-    """Shrink a closed recording to about a third of its size; return the reason of a failure or None.
+    """Compress a closed recording to about a third of its size. Return the reason of a failure, or None.
 
-    The recorded values remain bitwise equal. The new file replaces the old file atomically. If the disk is full or
+    The recorded values do not change. The compressed file atomically replaces the original file. If the disk is full or
     rerun's program is missing, the recording remains unchanged and without an index.
     """
     rewritten = temporary_name(path)

@@ -1,4 +1,4 @@
-"""The rsl_rl adapter, training, checkpoints that contain everything, and export.
+"""Adapt environments to rsl_rl, train policies, store checkpoints of the complete state, and export policies.
 
 | module | content |
 |---|---|

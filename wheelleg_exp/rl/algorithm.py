@@ -1,4 +1,4 @@
-"""Build rsl_rl's algorithm and networks from the ``agent`` section, and reject sections that cannot work."""
+"""Build rsl_rl's algorithm and networks from the config section ``agent``, and reject invalid sections."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_m
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-# The keys of the agent section that rsl_rl does not know.
+# rsl_rl does not know these keys of the config section `agent`.
 OWN_KEYS = (
     *("device", "torch_threads", "matmul", "graph_update", "max_iterations", "average_iterations"),
     *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint"),
@@ -31,7 +31,7 @@ OWN_KEYS = (
 
 
 def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
-    """Build rsl_rl's algorithm from the ``agent`` section; ConfigError if rsl_rl or this project rejects a value."""
+    """Build rsl_rl's algorithm from the config section ``agent``. Raise ConfigError for an invalid value."""
     observations = env.get_observations()
     for role, groups in agent["obs_groups"].items():
         for group in groups:
@@ -53,7 +53,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
         _require_memory(env, observations, agent)
     options = options_of(agent)
     env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), str(agent["device"]))
-    # Copy the config, because rsl_rl changes the dictionary. Redirect stdout, because rsl_rl prints the networks.
+    # Copy the config, because rsl_rl changes the config. Redirect stdout, because rsl_rl prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
     make_classes_importable(config)
@@ -61,7 +61,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
             algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
-    except Exception as error:  # User-defined classes of networks can raise any error.
+    except Exception as error:  # A user-defined network class can raise any exception.
         message = f"rsl_rl rejects the agent section: {in_words(error).splitlines()[0]}"
         raise ConfigError(message, key="agent", expected="rsl_rl's own configuration") from error
     replace_mirror_loss(algorithm)
@@ -69,7 +69,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
-    """Return the mirror for every second environment, or None unless ``agent.symmetry.mirrored_envs`` is set."""
+    """Return an object that mirrors every second environment; None if ``agent.symmetry.mirrored_envs`` is not set."""
     options = options_of(agent)
     if options is None or not options.mirrored_envs:
         return None
@@ -84,7 +84,7 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | 
 def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions) -> list[str]:
     """Return the observation groups that need mirror images: those of actor, critic, and RND.
 
-    RND rewards new states, and must not treat a mirrored robot as new.
+    RND (random network distillation) rewards new states, and the mirror image of a known state must not count as new.
     """
     novel = options.mirrored_envs and agent["algorithm"].get("rnd_cfg")
     roles = ("actor", "critic", "rnd_state") if novel else ("actor", "critic")
@@ -93,7 +93,7 @@ def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions)
 
 
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
-    """Raise ConfigError if rollouts and networks do not fit into memory, with four bytes for each number."""
+    """Raise ConfigError if the rollout buffer (float32) and the networks do not fit into memory."""
     steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
     samples = env.num_envs * steps
     numbers = sum(widths.values()) + 3 * env.num_actions + 6
@@ -103,7 +103,7 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
         hidden = agent[role].get("hidden_dims") or []
         layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))
-        # Each weight takes 16 bytes: with its gradient and the two running means of Adam.
+        # Each weight, its gradient, and its two running means in Adam take 16 bytes together.
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
 
 

@@ -18,26 +18,26 @@ from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
-# Checkpoints of version 1 contain the networks, but lack state that a resume needs.
+# Checkpoints of version 1 contain the networks, but lack state that is needed to resume a training.
 _READABLE = (1, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
-# The roles of networks. An algorithm has the first two or the last two roles.
+# An algorithm has two networks: an actor and a critic, or a student and a teacher.
 ROLES = ("actor", "critic", "student", "teacher")
-# The limits for a loaded tree are the number of parts, the depth, and the size of the tensors relative to the file.
+# A loaded state must not exceed these limits: number of objects, nesting depth, ratio of tensor size to file size.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
 def serialize(state: Mapping[str, Any]) -> bytes:
-    """Return the bytes of a checkpoint file. Equal states give equal bytes."""
+    """Encode a training's state as the bytes of a checkpoint file. Equal states give equal bytes."""
     buffer = io.BytesIO()
     torch.save(_rebuilt(dict(state)), buffer)
     return buffer.getvalue()
 
 
 def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
-    """Read a checkpoint; with ``finite``, reject networks whose parameters are NaN or inf.
+    """Read a checkpoint. If ``finite`` is true, reject networks with NaN or inf parameters.
 
-    A file that is missing, damaged, or not a checkpoint of this program raises RunDirectoryError.
+    The function raises RunDirectoryError if the file is missing, damaged, or not a checkpoint of this program.
     """
     if not path.is_file():
         message = "the checkpoint does not exist"
@@ -45,25 +45,25 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
-        with warnings.catch_warnings():  # torch warns about files of other formats.
+        with warnings.catch_warnings():  # torch warns about files that torch.save did not write.
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
-        # Raise ValueError for a tree that is too large or too deep, or for tensors that are larger than the file.
+        # Raise ValueError for a state with too many objects, too much nesting, or too large tensors.
         waiting, parts, room = [(state, 0)], 0, _TIMES * path.stat().st_size + (1 << 20)
         while waiting:
             value, depth = waiting.pop()
             parts += 1
             if isinstance(value, torch.Tensor):
                 if value.layout is not torch.strided or value.device.type != "cpu":
-                    raise ValueError("the checkpoint contains a tensor without numbers")
+                    raise ValueError("the checkpoint contains a tensor that is not a dense tensor on the CPU")
                 room -= value.numel() * value.element_size()
             elif isinstance(value, Mapping):
                 waiting += [(item, depth + 1) for pair in value.items() for item in pair]
             elif isinstance(value, (list, tuple, set, frozenset)):
                 waiting += [(item, depth + 1) for item in value]
             if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
-                raise ValueError("the checkpoint is larger than its file")
-    except Exception as error:  # A damaged archive can raise any error. No code in the archive runs.
+                raise ValueError("the checkpoint contains too many objects or too large tensors")
+    except Exception as error:  # A damaged file can raise any exception. Code in the file is never executed.
         message = "the file cannot be read as a checkpoint: it is damaged, or contains data of unknown types"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run") from error
     state = state if isinstance(state, dict) else {}
@@ -82,7 +82,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
 
 
 def _require_finite(state: Mapping[str, Any], path: Path) -> None:
-    """Raise RunDirectoryError if a network has NaN or inf, because its actions would be NaN too."""
+    """Raise RunDirectoryError if a network parameter is NaN or inf, because the actions would be NaN too."""
     for key in (*(f"{role}_state_dict" for role in ROLES), STATE):
         network = state.get(key)
         for name, value in network.items() if isinstance(network, Mapping) else ():
@@ -94,7 +94,7 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:
-    """Raise RunDirectoryError if the networks can be played, but the training cannot be resumed."""
+    """Raise RunDirectoryError if the checkpoint lacks state that is needed to resume the training."""
     if state["format_version"] != FORMAT_VERSION:
         message = f"the checkpoint has format version {state['format_version']}: it can be played, not resumed"
         expected = f"version {FORMAT_VERSION}, which holds all that a training depends on"
@@ -102,9 +102,9 @@ def require_resumable(state: Mapping[str, Any]) -> None:
 
 
 def _rebuilt(value: Any) -> Any:
-    """Rebuild a tree so that no two parts share an object.
+    """Return a copy of a tree of containers in which no object occurs twice.
 
-    Pickle writes a shared object once and then refers to it, so equal states could otherwise give different bytes.
+    Pickle writes an object that occurs twice only once, so equal states with shared objects could give different bytes.
     """
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)

@@ -1,7 +1,8 @@
 """Short digests of a training's state: each iteration logs them, and a checkpoint must agree with them.
 
-Digests are computed from the tree of a checkpoint, so they can be computed again from the file. Digests depend on
-names, types, shapes, and bytes only: two states have equal digests if and only if they are equal bit for bit.
+A digest is computed from the content of a checkpoint, so that a reader of the checkpoint file can verify the digest.
+Digests depend on names, types, shapes, and bytes only: two states have equal digests if and only if they are equal bit
+for bit.
 """
 
 from __future__ import annotations
@@ -18,33 +19,33 @@ from wheelleg_exp.state.saved_values import bytes_of
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# The version of the definition of the digests. Digests of different versions cannot be compared.
+# The version of the digest algorithm. Digests of different versions cannot be compared.
 FORMAT = 1
 
-# With 16 hexadecimal digits, the probability of an undetected difference is 5e-20.
+# With 16 hexadecimal digits, two different states have equal digests with a probability of 5e-20.
 _LENGTH = 16
 _LABELS = ("format_version", "iter", "infos", "ranks")
 
 
 def of_state(state: Mapping[str, Any]) -> dict[str, str]:
-    """Return the digests of a checkpoint's tree by part.
+    """Return one digest for each part of a checkpoint, by the name of the part.
 
     ``parameters``: the networks. ``optimizer``: its state with the learning rate. ``environment``: the environment
     without random streams. ``streams``: the random streams and torch's generators. ``log``: the running episode sums.
-    ``mean``: the averaged weights, if there are any. ``rest``: all remaining parts. With several ranks, each digest
-    covers the parts of all ranks.
+    ``mean``: the averaged weights, if there are any. ``rest``: all remaining parts. In a training with several
+    processes (ranks), each digest covers the state of all ranks.
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
 
 
 def networks(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a checkpoint's tree that the digest ``parameters`` covers."""
+    """Return the networks in a checkpoint, from which the digest ``parameters`` is computed."""
     return {key: value for key, value in state.items() if _part_of(key) == "parameters"}
 
 
 def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Merge the digests of the first rank with those of the other ranks, part by part."""
+    """Merge the digests of the first process (rank) with the digests of all other ranks, by the name of the digest."""
     if not others:
         return dict(first)
     merged = {name: [first[name], *(one[name] for one in others)] for name in first.keys() & others[0].keys()}
@@ -52,9 +53,9 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
 
 
 def tree_digest(tree: Any) -> str:
-    """Return a digest of 16 hexadecimal digits of a tree of mappings, sequences, tensors, numbers, and text.
+    """Return a digest (16 hexadecimal digits) of nested mappings and sequences of tensors, numbers, and text.
 
-    Each entry is hashed with its key, type, and length, so that trees with the same bytes but another structure differ.
+    The key, type, and length of each entry are hashed too, so that trees of different structure have different digests.
     """
     digest = hashlib.sha256()
     _update(digest, "", tree)

@@ -1,9 +1,9 @@
-"""Matrix products of the update in bfloat16, on CPUs that have units for them, or in TF32 on GPUs.
+"""Compute the matrix products of the policy update in bfloat16 on CPUs that support it, or in TF32 on GPUs.
 
 Weights, biases, derivatives of activations, losses, sums of gradients, and the optimizer stay float32. Only the factors
-of a product and the values between two layers have the 8 bits of bfloat16 (mixed precision, Micikevicius et al. 2018,
+of matrix products and the values between two layers have 8 significant bits (mixed precision, Micikevicius et al. 2018,
 with the format of Kalamkar et al. 2019, whose range makes loss scaling unnecessary). oneDNN sums products in float32.
-Acting, evaluation, and export always use float32. Isaac Lab trains with TF32, whose factors have 10 bits.
+Rollouts, evaluation, and export always use float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     from rsl_rl.modules import MLP
 
 KEY = "agent.matmul"
-# A layer with fewer weights than this is not faster in bfloat16, because of the conversions.
+# A layer with fewer weights than this number is slower in bfloat16 than in float32, because of the type conversions.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers per block
-# These values of ONEDNN_MAX_CPU_ISA allow AMX, in addition to values that name AMX.
+# These values of the variable ONEDNN_MAX_CPU_ISA allow AMX, and so do all values that contain the word AMX.
 _ANY = ("", "ALL", "DEFAULT")
-# These values of ONEDNN_MAX_CPU_ISA allow bf16 vector instructions.
+# These values of the variable ONEDNN_MAX_CPU_ISA allow bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
-# Several numbers of threads are tried, because differences do not grow with the number of threads.
+# Several thread counts are tried, because a large count can give equal results although a smaller count does not.
 _COUNTS = (1, 2, 3, 4, 8, 16)
 
 
 def chosen_matmul(agent: Mapping[str, Any]) -> str:
     """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
-    Runs of older versions, without the key ``agent.matmul``, used float32. ``auto`` decides by the CPU and the
-    networks, never by a measurement, so that each start makes the same decision. A precision that this machine lacks
-    raises ConfigError.
+    Old runs without the config key ``agent.matmul`` used float32. The value ``auto`` selects the precision by the
+    hardware, never by a measurement, so that every start selects the same. The function raises ConfigError if the
+    device does not support the selected precision.
     """
     wanted, kind, why_not = str(agent.get("matmul", "float32")), str(agent["device"]).partition(":")[0], ""
     if kind != "cpu":
@@ -48,7 +48,7 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
     elif agent.get("torch_compile_mode") is not None:
         why_not = "agent.torch_compile_mode compiles the networks"
     if wanted == "bfloat16" and why_not:
-        raise ConfigError(f"bfloat16 is for CPUs, and {why_not}", key=KEY, expected="auto or float32")
+        raise ConfigError(f"bfloat16 is for eager mode on CPUs, but {why_not}", key=KEY, expected="auto or float32")
     on_gpu = kind == "cuda"
     if wanted == "tf32" and not on_gpu:
         message = f"tf32 is for GPUs, and agent.device is {agent['device']}"
@@ -59,7 +59,7 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
 
 
 def has_units() -> bool:
-    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN may use the units for it.
+    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN is allowed to use these instructions.
 
     AMX multiplies bfloat16 faster than float32, and so do the bf16 vector instructions of AMD's CPUs. The bf16 vector
     instructions of Intel's CPUs are slower than float32.
@@ -75,10 +75,10 @@ def has_units() -> bool:
 
 
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
-    """Return whether products of a layer with some number of rows depend on the number of threads.
+    """Return whether the matrix products of a layer with a batch of ``rows`` depend on the number of threads.
 
-    oneDNN does not promise equal results: with AMX it may split a sum among threads. So this function tries several
-    numbers of threads, including ``threads``, on random numbers with the sizes of the layers.
+    oneDNN does not promise equal results: with AMX it may split a sum among threads. So this function multiplies random
+    matrices of the layers' sizes with several thread counts, including ``threads``.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]
@@ -108,7 +108,7 @@ def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
 
 @contextmanager
 def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
-    """Make the MLPs of networks multiply in bfloat16 within the context, in the forward and the backward pass."""
+    """Make the MLPs of the networks multiply in bfloat16 inside the block, in the forward and the backward pass."""
     perceptrons = _perceptrons(networks)
     for perceptron in perceptrons:
         perceptron.forward = _forward_of(list(perceptron))
@@ -121,7 +121,7 @@ def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
 
 @contextmanager
 def tf32_products() -> Iterator[None]:
-    """Make a GPU multiply float32 numbers in TF32 within the context."""
+    """Make a GPU multiply float32 matrices in TF32 inside the block."""
     before = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = True
     try:
@@ -153,10 +153,10 @@ def _is_large(layer: nn.Linear) -> bool:
 
 
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
-    """Return the result (..., O) of a linear layer. The factors of its products and of its gradients are bfloat16.
+    """Return the output (..., O) of a linear layer. All factors of its matrix products are bfloat16.
 
-    The input (..., I) is float32 or bfloat16. The bias (O,) is added in float32. With ``elu``, ELU with alpha 1
-    follows: exp(y) - 1 where y is negative. The result is float32; after ELU it is bfloat16, for the next product.
+    The layer's input (..., I) is float32 or bfloat16. The layer's bias (O,) is added in float32. With ``elu``, ELU with
+    alpha 1 follows: exp(y) - 1 where y is negative. The output is float32 without ELU and bfloat16 with ELU.
     """
     return _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
 
@@ -167,8 +167,8 @@ class _Linear(torch.autograd.Function):
         low, factors = x.bfloat16(), weight.bfloat16()
         y = _multiply(low, factors.t())
         if elu:
-            # Add the bias and apply ELU in place, in float32 and by blocks of rows that fit into a cache. The ELU of
-            # torch is not used, because its bits depend on how threads split a tensor; the bits of `exp` do not.
+            # Add the bias and apply ELU in float32, in place, in blocks of rows that fit into the CPU cache.
+            # torch's ELU is not used, because its result, unlike that of `exp`, depends on the number of threads.
             for rows in y.split(max(1, _BLOCK // y.shape[1])):
                 part = rows + bias
                 rows.copy_(torch.maximum(part, part.clamp(max=0).exp_().sub_(1), out=part))

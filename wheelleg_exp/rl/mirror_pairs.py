@@ -14,15 +14,15 @@ JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
 _MAX_JOINT_DISTANCE = 0.02  # of the robot's size
 _FLIP = np.array([1.0, -1.0, 1.0])  # mirrors y
 MIRROR = np.diag(_FLIP)
-# The least cosine between the axis of a joint and the mirrored axis of the joint's image.
+# The smallest allowed cosine of the angle between a joint's axis and the mirrored axis of the paired joint.
 _MIN_AXIS_COSINE = 0.99
 
 
 def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
-    r"""Return the index of each joint's image. A joint that no expression matches is its own image.
+    r"""Return the index of each joint's mirror image. A joint that no expression matches is its own mirror image.
 
-    ``pairs`` has expressions that match full names on one side, and the name of the image, with ``\1`` for groups; None
-    removes a pair.
+    ``pairs`` maps a regular expression for the full joint names of one side to the name of the mirror image, which can
+    contain ``\1`` for a matched group. The value None removes a pair.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -34,25 +34,25 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
             images = [match.expand(image) for match in matches]
         except (re.error, IndexError) as error:
             expected = "expressions, such as 'l(.*)': 'r\\1'"
-            raise ConfigError(f"the expression cannot be read: {error}", key=key, expected=expected) from error
+            raise ConfigError(f"the regular expression is invalid: {error}", key=key, expected=expected) from error
         if not matches:
             expected, nearest = "the whole name of one of " + ", ".join(names), nearest_name(expression, names)
-            raise ConfigError("the expression fits no joint", key=key, expected=expected, nearest=nearest)
+            raise ConfigError("the expression matches no joint name", key=key, expected=expected, nearest=nearest)
         for match, other in zip(matches, images, strict=True):
             if other not in names:
                 expected, nearest = "one of " + ", ".join(names), nearest_name(other, names)
-                raise ConfigError(f"there is no joint '{other}'", key=key, expected=expected, nearest=nearest)
+                raise ConfigError(f"the robot has no joint '{other}'", key=key, expected=expected, nearest=nearest)
             one, two = names.index(match.string), names.index(other)
             found[one], found[two] = two, one
     return found
 
 
 def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
-    """Return the sign with which the image of each joint moves; ConfigError if two joints are not mirror images.
+    """Return the sign of each joint's motion in the mirror. Raise ConfigError if paired joints are not mirror images.
 
-    With a mirror M, the image of a rotation by q about a is a rotation by q about -M a, and the image of a slide along
-    a is a slide along M a. The anchors of two joints, and the centres and masses of the bodies that they move, must be
-    mirror images as well. ``images`` has the index of each joint's image.
+    A mirror M changes a rotation by q about the axis a to a rotation by q about the axis -M a, and a slide along the
+    axis a to a slide along the axis M a. The anchors of two paired joints, and the centres of mass and masses of the
+    moved bodies, must also be mirror images. ``images`` contains the index of each joint's mirror image.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -60,7 +60,7 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
     turn, origin = data.xmat[base].reshape(3, 3).T, data.xpos[base].copy()
     ids = [model.joint(name).id for name in names]
     bodies = [model.jnt_bodyid[joint] for joint in ids]
-    # The anchor of each joint, and the centre of mass of the body that the joint moves, in the axes of the base.
+    # Each pair is a joint's anchor and the centre of mass of the body that the joint moves, in the axes of the base.
     pairs = zip(data.xanchor[ids], data.xipos[bodies], strict=True)
     places = np.array([[turn @ (anchor - origin), turn @ (centre - origin)] for anchor, centre in pairs])
     axes = np.array([turn @ data.xaxis[j] for j in ids])
@@ -90,15 +90,15 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 
 
 _MAX_BODY_DISTANCE = 0.02  # of the robot's size
-# The largest difference between entries of two rotation matrices.
+# The largest allowed difference between an entry of a body's rotation matrix and of the mirrored matrix.
 _MAX_FRAME_ERROR = 0.02
 
 
 class BodyImages:
-    """The mirror images of a robot's bodies.
+    """Finds the mirror image of each body of a robot.
 
-    The images of the joints determine the images of the bodies that joints move. Positions determine all other images.
-    ``names`` starts with the root, and ``joint_images`` has the index of each joint's image.
+    A body that a joint moves is paired by its joint. All other bodies are paired by their positions. ``names`` are the
+    body names, starting with the root, and ``joint_images`` are the indices of the joints' images.
     """
 
     def __init__(
@@ -121,16 +121,16 @@ class BodyImages:
         parents = [number.get(int(model.body_parentid[body])) for body in ids]
         for body in sorted(range(len(ids)), key=lambda i: ids[i]):
             if self._images[body] is None:
-                # The image is the nearest body to the mirrored place, below the image of the parent.
+                # The mirror image of a body is the body nearest to the mirrored position, below the parent's image.
                 above = None if (parent := parents[body]) is None else self._images[parent]
                 others = [i for i, other in enumerate(parents) if above is not None and other == above]
                 apart = np.linalg.norm(self._places[others] - MIRROR @ self._places[body], axis=1)
                 self._images[body] = others[int(apart.argmin())] if others else None
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
-        """Return the name of a body's image; ConfigError for the config key ``key`` if the body has no image.
+        """Return the name of a body's mirror image. Raise ConfigError for the config key ``key`` if the body has none.
 
-        With ``with_axes``, the axes of both bodies must be images as well.
+        If ``with_axes`` is true, the axes of the two bodies must also be mirror images.
         """
         body = self.names.index(name)
         image = self._images[body]

@@ -1,4 +1,4 @@
-"""How each kind of observation changes in a mirror in the plane of the base's x and z axes."""
+"""Define how each kind of observation changes when the base's x-z plane is a mirror."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors import Imu, RayCaster
 
 RULES_KEY = "agent.symmetry.terms"
-# Rules of a fixed width have one sign for each number.
+# A mirror rule for an observation of fixed width has one sign for each number.
 SIGNS: Mapping[str, tuple[float, ...]] = {
     "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
     "pseudovector": (-1, 1, -1),  # angular velocity, torque
@@ -30,7 +30,7 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
 }
 # Mirror rules for observations of any width, such as one number for each joint or for each ray.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# A rule with numbers for each body has signs, the parameter that selects bodies, and whether axes must be images.
+# A mirror rule for bodies has signs, the term's parameter that selects bodies, and whether the bodies' axes must match.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -38,13 +38,13 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "body_vectors": ((1, -1, 1), "asset_cfg", True),
     "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
 }
-# These rules apply to measurements of an IMU in the IMU's own axes.
+# These mirror rules apply to measurements of an IMU in the IMU's own axes.
 IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quaternion")}
-COMMAND_RULE = "command"  # The rule of the observed command replaces this entry.
+COMMAND_RULE = "command"  # The mirror rule of the observed command replaces this placeholder.
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# The rules of stock observations by the name of their function.
+# The mirror rules of built-in observations by the name of the observation's function.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
@@ -70,7 +70,7 @@ _NAMES_BY_RULE = {
     "body_vectors": ("body_projected_gravity_b",),
 }
 TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
-# The rules of stock commands by the name of their class.
+# The mirror rules of built-in commands by the name of the command's class.
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",
@@ -96,34 +96,34 @@ _MAX_SIGN_ERROR = 1e-3
 def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
 
-    A sensor that is not a ray caster, or whose rays are not symmetric, raises ConfigError.
+    The function raises ConfigError if the sensor is not a ray caster or its rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
-        raise ConfigError("the sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
+        raise ConfigError("this sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     flip = torch.tensor([1.0, -1.0, 1.0], device=sensor.device)
     found = torch.cat([part.expand(sensor.num_rays, 3) for part in sensor.rays], dim=1)
     distance, source = torch.cdist(found * flip.repeat(2), found).min(dim=1)
     if float(distance.max()) > _MAX_OFFSET:
         expected = "an offset on the base's middle, and a pattern with a ray to the right for each to the left"
-        raise ConfigError("the sensor's rays are not the same to both sides", key=sensor.key, expected=expected)
+        raise ConfigError("the sensor's rays are not left-right symmetric", key=sensor.key, expected=expected)
     return [(int(number), 1.0) for number in source]
 
 
 def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
-    """Return the mirror rule of a vector, a pseudovector, or the quaternion of an IMU.
+    """Return the mirror rule of an IMU's measurement, which is a vector, a pseudovector, or a quaternion.
 
-    With the rotation R from the axes of the IMU to those of its body, the image of a vector v is R^T M R v, and the
-    image of a pseudovector is -R^T M R v. The matrix R^T M R must be a matrix of signs. Another sensor, or an IMU that
-    is not its own mirror image, raises ConfigError.
+    R is the rotation from the IMU's axes to its body's axes, and M is the mirror. The image of a vector v is R^T M R v,
+    and the image of a pseudovector v is -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. The function raises
+    ConfigError for another sensor, or for an IMU that is not its own mirror image.
     """
     if not isinstance(sensor, Imu):
-        raise ConfigError("the sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
+        raise ConfigError("the observed sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     pos, quat = sensor.offset_pose
     turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0].double().cpu().numpy()
     if abs(float(pos[1])) > _MAX_OFFSET:
-        raise ConfigError("the IMU is not in the mirror plane", key=f"{sensor.key}.offset.pos", expected="y = 0")
+        raise ConfigError("the IMU is not in the base's x-z plane", key=f"{sensor.key}.offset.pos", expected="y = 0")
     mirrored = turn.T @ MIRROR @ turn
     signs = np.round(mirrored)
     if np.abs(mirrored - signs).max() > _MAX_SIGN_ERROR or (kind == "quaternion" and np.abs(signs - MIRROR).max() > 0):
@@ -153,10 +153,10 @@ _OFFSETS = (
 
 
 class TermMirror:
-    """Applies mirror rules to terms.
+    """Applies mirror rules to observation terms.
 
-    ``joint_images`` has the index of each joint's image, ``joint_signs`` the sign with which each image moves, and
-    ``action`` the sources and signs of the mirrored action vector.
+    ``joint_images`` are the indices of the joints' mirror images, and ``joint_signs`` the signs of their motion.
+    ``action`` contains the source indices and the signs of the mirrored action vector.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class TermMirror:
         self._bodies = BodyImages(env.scene.model, robot.body_names, robot.joint_names, joint_images)
 
     def frame(self, rule: Rule, term: ObservationTerm) -> SignedSources:
-        """Return the source and the sign of each number of a mirrored frame of an observation term."""
+        """Return the source index and the sign of each number of a mirrored observation term."""
         path = term.term.path
         if not isinstance(rule, str):
             return [(i, float(sign)) for i, sign in enumerate(rule)]
@@ -176,7 +176,7 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            # The image is the clock half a cycle later, if this exchanges the legs of both sides.
+            # The mirror image of a gait clock is the clock half a cycle later, if that exchanges left and right legs.
             offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
             for offset in offsets:
                 if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:
@@ -207,7 +207,7 @@ class TermMirror:
         return joints + [(len(ids) + source, 1.0) for source, _ in joints if rule == "joints_sin_cos"]
 
     def command(self, term: ObservationTerm) -> str | None:
-        """Return the rule of the command that a term observes."""
+        """Return the mirror rule of the command that an observation term returns."""
         found: Any = self._env.command_manager.get_term(str(term.term.params["command_name"]))
         if hasattr(found, "body_name"):
             key = f"env.commands.{term.term.params['command_name']}.body_name"

@@ -29,7 +29,7 @@ class Initial:
 
 
 def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
-    """Load the policy of a checkpoint into the teacher."""
+    """Load the policy of a checkpoint into the teacher network of a distillation."""
     try:
         algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
     except RuntimeError as error:
@@ -39,9 +39,9 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
 
 
 def load_initial(algorithm: Any, initial: Initial) -> None:
-    """Load the networks of a checkpoint.
+    """Load the networks of a checkpoint into the algorithm.
 
-    The function draws no random numbers, so the random streams are the same as without initial networks.
+    The function draws no random numbers, so the random streams of the training do not depend on initial networks.
     """
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong = []
@@ -53,7 +53,7 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
             wrong.append(f"the {role}'s {name} is {has.get(name, 'absent')} there and {needs.get(name, 'absent')} here")
     if wrong:
         key, expected = "init_from", "the observations, actions and networks that it was trained with, or null"
-        raise ConfigError(f"the networks of '{whose}' do not fit: {'; '.join(wrong)}", key=key, expected=expected)
+        raise ConfigError(f"networks of '{whose}' have wrong shapes: {'; '.join(wrong)}", key=key, expected=expected)
     try:
         algorithm.load(dict(initial.state), dict.fromkeys(initial.parts, True), True)
     except (RuntimeError, LookupError, ValueError, TypeError) as error:
@@ -65,7 +65,7 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
 def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
     """Return the policy of a checkpoint in evaluation mode: its mean action, without exploration noise.
 
-    A checkpoint that is damaged or does not fit the environment raises RunDirectoryError.
+    The function raises RunDirectoryError if the checkpoint is damaged or does not fit the environment.
     """
     state = checkpoint.load(path)
     policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()

@@ -1,4 +1,4 @@
-"""Average a policy's weights over its last iterations. The average is played; training uses the current weights."""
+"""Average a policy's weights over its last iterations. Only playing uses the average, not training."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ _COUNT = "averaged_iterations"  # key in `unsaved`
 
 
 class PolicyAverage:
-    """Exponential mean of a policy's parameters.
+    """The exponential mean of a policy's weights.
 
-    During training the weights move around good weights without coming to rest. The mean of the weights is near the
-    good weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J. Control Optim.
-    30, 1992). The training does not depend on the mean. In the first n ``iterations`` the mean m covers all weights w
-    so far; after that, m += (w - m) / n. 0 means no average, and ``is_on`` is False.
+    During training, the weights fluctuate around an optimum. The mean of the weights is closer to the optimum than the
+    current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J. Control
+    Optim. 30, 1992). The training does not depend on the mean. During the first n ``iterations``, m is the mean of the
+    weights w of all iterations. Afterwards, each iteration adds (w - m) / n to m. 0 means no average, and ``is_on`` is
+    False.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
@@ -30,7 +31,7 @@ class PolicyAverage:
 
     @torch.no_grad()
     def take(self) -> None:
-        """Add the present weights to the mean, after an update."""
+        """Add the current weights to the mean, after each policy update."""
         if not self.is_on:
             return
         now = self._policy.state_dict()
@@ -41,30 +42,30 @@ class PolicyAverage:
             self._mean[name].lerp_(value, share) if value.is_floating_point() else self._mean[name].copy_(value)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the mean as a part of a checkpoint; an empty dictionary before the first update."""
+        """Return the mean weights for a checkpoint; an empty dictionary before the first policy update."""
         return {STATE: cloned(self._mean)} if self._count else {}
 
     def unsaved(self) -> dict[str, int]:
-        """Return the number of averaged iterations."""
+        """Return the number of iterations in the average."""
         return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Continue with the mean of a checkpoint. Without a saved mean, the mean starts with the next update.
+        """Load the mean weights of a checkpoint. Without saved weights, the mean starts with the next policy update.
 
-        A mean of another network raises ValueError.
+        The method raises ValueError if the mean belongs to another network.
         """
         if not self.is_on:
             return
         mean, own = saved.get(STATE) or {}, self._policy.state_dict()
         count = saved["unsaved"].get(_COUNT, 0)
         if mean and (type(count) is not int or count < 1 or _forms(mean) != _forms(own)):
-            raise ValueError("the mean of the policy's weights belongs to another network")
+            raise ValueError("the averaged weights in the checkpoint do not fit the policy network")
         self._count = count if mean else 0
         self._mean = {name: value.to(own[name].device, copy=True) for name, value in mean.items()}
 
 
 def without_average(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state of a checkpoint without the average."""
+    """Return the state of a checkpoint without the averaged weights."""
     unsaved = {key: value for key, value in saved["unsaved"].items() if key != _COUNT}
     return {**{key: value for key, value in saved.items() if key != STATE}, "unsaved": unsaved}
 

@@ -1,10 +1,10 @@
 """rsl_rl's PPO as CUDA graphs: acting, and the update of the networks.
 
-In every minibatch, rsl_rl waits for the GPU (for the divergence that sets the learning rate, and for three losses) and
-launches some three hundred kernels. In this module, one minibatch is one CUDA graph, and an update waits for the GPU
-once. The learning rate and the sums of the losses stay on the GPU, because a graph cannot read Python numbers that
-change. Networks, losses, gradient clipping, and Adam are the same functions as in rsl_rl. With several ranks, their
-communication is part of the graph. Algorithms that ``can_capture_update`` rejects are updated by rsl_rl itself.
+In every minibatch, rsl_rl waits for the GPU four times (for the KL divergence and three losses), and launches about
+three hundred kernels. This module runs each minibatch as one CUDA graph, and waits for the GPU once per policy update.
+The learning rate and the sums of the losses stay on the GPU, because a graph cannot read Python numbers that change.
+Networks, losses, gradient clipping, and Adam are the same functions as in rsl_rl. In a training with several processes
+(ranks), the graph includes their communication. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
 _MIRROR_LOSS = "symmetry"  # rsl_rl's name
-# rsl_rl has these bounds of an adaptive learning rate, and changes the rate by this factor.
+# rsl_rl's adaptive learning rate has these bounds, and changes by this factor.
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
@@ -43,21 +43,22 @@ def is_plain_ppo(algorithm: Any) -> bool:
 
 
 class CapturedPPO:
-    """Acting and updating of rsl_rl's PPO as CUDA graphs."""
+    """Runs the acting and the policy update of rsl_rl's PPO as CUDA graphs."""
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
-        # Only actions that are drawn from normal distributions can be captured.
+        # A CUDA graph can only draw actions from a normal distribution.
         is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
         self.act = CapturedActing(algorithm) if is_normal else algorithm.act
 
 
 class CapturedUpdate:
-    """Updates the networks of rsl_rl's PPO with the same numbers as ``PPO.update``.
+    """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
-    The first update runs without a graph, the second one is captured. Between updates the optimizer has rsl_rl's own
-    settings, so that the optimizer is saved and loaded as usual. A graph reads fixed addresses. If tensors lie at other
-    addresses than at the capture, for example after loading a state, the update is captured again.
+    The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. Between
+    updates, the optimizer has rsl_rl's own settings, so that the optimizer is saved and loaded as usual. A graph reads
+    fixed addresses. If a tensor's address has changed since the capture, for example after a checkpoint was loaded, the
+    update is captured again.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -73,7 +74,7 @@ class CapturedUpdate:
         self._advantages = torch.zeros_like(storage.returns)
         self._rate = torch.zeros((), device=algorithm.device)
         symmetry = algorithm.symmetry
-        # A mirror loss that is only logged has weight 0.
+        # If the mirror loss is only logged, its weight in the total loss is 0.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
         self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)
@@ -86,7 +87,7 @@ class CapturedUpdate:
         self._advantages.copy_(storage.advantages)
         self._rate.fill_(algorithm.learning_rate)
         self._sums.zero_()
-        # Make Adam one kernel that reads its learning rate from the GPU; return its previous settings.
+        # Make Adam run as one kernel that reads the learning rate from the GPU. Return the previous settings of Adam.
         optimizer = self._algorithm.optimizer
         settings = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
         for group in optimizer.param_groups:
@@ -104,7 +105,7 @@ class CapturedUpdate:
                 self._capture(order)
             self._each(order, self._graph.replay)
         else:
-            # Run on the stream of the capture, because torch accumulates gradients on the stream of their first use.
+            # Run on the stream of the graph capture, because torch accumulates gradients on the stream of first use.
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -112,7 +113,7 @@ class CapturedUpdate:
             self._ran = True
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
-            # Update the running means and deviations of a network's observations, in the memory that the graph reads.
+            # Update the means and deviations of a network's observations in place, because the CUDA graph reads them.
             before = dict(network.named_buffers())
             network.update_normalization(observations)
             for name, static in before.items():
@@ -144,7 +145,7 @@ class CapturedUpdate:
         self._captured = self._memory()
 
     def _memory(self) -> tuple[int, ...]:
-        """Return the addresses of the tensors that may be replaced when a state is loaded."""
+        """Return the memory addresses of the tensors that can change when a checkpoint is loaded."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
         networks = (algorithm.actor, algorithm.critic)
@@ -161,7 +162,7 @@ class CapturedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        # The forward pass of the actor is not used, because it draws actions, and the draw waits for the GPU.
+        # The actor's `forward` is not used, because drawing actions would wait for the GPU.
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
@@ -172,12 +173,12 @@ class CapturedUpdate:
                 if algorithm.is_multi_gpu:
                     torch.distributed.all_reduce(divergence)
                     divergence /= algorithm.gpu_world_size
-                # Lower or raise the learning rate if the policy changed more or less than desired.
+                # Lower the learning rate after a too large policy change, and raise the rate after a too small change.
                 desired, rate = self._algorithm.desired_kl, self._rate
                 slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
                 raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)
                 rate.copy_(torch.where(divergence > desired * 2, slower, raised))
-        # The negative clipped surrogate objective (Schulman et al. 2017, eq. 7).
+        # The loss is the negative clipped surrogate objective of PPO (Schulman et al. 2017, eq. 7).
         change = log_prob - old_log_prob.squeeze(-1)
         advantages = advantages.squeeze(-1)
         ratio, clip = change.exp(), self._algorithm.clip_param
@@ -199,7 +200,7 @@ class CapturedUpdate:
         self._sums += torch.stack([one.detach() for one in (value, surrogate, entropy, *found)])
 
     def _value(self, values: torch.Tensor, old: torch.Tensor, returns: torch.Tensor) -> torch.Tensor:
-        """Return the squared error of the critic, or of its clipped change if that error is larger."""
+        """Return PPO's clipped value loss: the larger squared error of the critic's value and the clipped value."""
         error = (values - returns).pow(2)
         if not self._algorithm.use_clipped_value_loss:
             return error.mean()
@@ -209,10 +210,10 @@ class CapturedUpdate:
 
 
 class CapturedActing:
-    """Draws actions and stores the values for the update, as ``PPO.act`` does.
+    """Draws actions and stores the data for the policy update, as ``PPO.act`` does.
 
-    The first rollout uses ``PPO.act``. The graph is captured at the start of the second rollout, and again if the
-    networks lie at other addresses.
+    The first rollout uses ``PPO.act``. The CUDA graph is captured at the start of the second rollout, and again if the
+    addresses of the networks change.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -224,7 +225,7 @@ class CapturedActing:
         self._acted = False
 
     def __call__(self, observations: Any) -> torch.Tensor:
-        """Return actions (N, A) for observations by group."""
+        """Return actions (N, A) for the given observations, which are a mapping by group."""
         algorithm = self._algorithm
         if algorithm.storage.step == 0:
             if self._acted and self._captured != self._memory():
@@ -237,7 +238,7 @@ class CapturedActing:
         self._graph.replay()
         transition, found = algorithm.transition, self._found
         transition.hidden_states = (None, None)
-        transition.actions = found["actions"].clone()  # The next replay overwrites the actions.
+        transition.actions = found["actions"].clone()  # The next replay of the CUDA graph overwrites the actions.
         for name in ("values", "actions_log_prob", "distribution_params"):
             setattr(transition, name, found[name])
         transition.observations = observations
@@ -252,7 +253,7 @@ class CapturedActing:
         self._captured = self._memory()
 
     def _computed(self) -> dict[str, Any]:
-        """Return the values that ``PPO.act`` stores.
+        """Return the data that ``PPO.act`` stores for the policy update.
 
         torch's own sampling is not used, because it waits for the GPU.
         """

@@ -1,7 +1,7 @@
-"""The processes (ranks) that train one policy together, as torchrun starts them.
+"""Connect the processes (ranks) that train one policy together and that torchrun has started.
 
-Each rank simulates its own environments. Ranks exchange plain values as JSON and states as checkpoint bytes over gloo;
-no message is unpickled. Gradients of networks on GPUs go over NCCL. A checkpoint of several ranks is one tree: networks
+Each rank simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes over gloo.
+No message is unpickled. Ranks exchange gradients on GPUs over NCCL. A checkpoint of several ranks is one tree: networks
 and optimizer are stored once. Environments, random streams, episode sums, and hidden states differ between ranks. The
 state of the first rank is at the top level of the tree, and the state of all other ranks is under ``ranks``.
 """
@@ -34,9 +34,9 @@ _COMMUNICATION = Path(dist.__file__).parent
 
 
 class FirstRankFailed(WheellegError):
-    """The training has failed, and the first rank reports the reason.
+    """Raised on all ranks but the first, after the training failed. The first rank reports the reason.
 
-    ``keeps`` says whether the first rank saves the evidence and a checkpoint of the last complete iteration.
+    ``keeps`` is true if the first rank saves the failed state and a checkpoint of the last complete iteration.
     """
 
     exit_code = EXIT_FAILED
@@ -47,7 +47,7 @@ class FirstRankFailed(WheellegError):
 
 
 class Left(SimulationFailure):
-    """Another rank has ended."""
+    """Raised on a rank because another rank has stopped."""
 
 
 @contextmanager
@@ -62,36 +62,37 @@ def communicating() -> Iterator[None]:
 
 
 def is_communication(error: BaseException) -> bool:
-    """Return whether torch.distributed raised an error."""
+    """Return whether an exception came from torch.distributed."""
     frames = traceback.extract_tb(error.__traceback__)
     return bool(frames) and Path(frames[-1].filename).is_relative_to(_COMMUNICATION)
 
 
 def left() -> Left:
-    """Return the error for a rank that lost another rank."""
+    """Return the error to raise if another process of the training has stopped."""
     message = "another process of the training has ended"
     expected = "all processes to continue; the first one to end reports why, or torchrun's table names the signal"
     return Left(message, key=f"rank {os.environ.get('RANK', '0')}", expected=expected)
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
-    """Return the parts of an error as text by name; an empty dictionary for None."""
+    """Return the attributes of an error as text by name; an empty dictionary if there is no error."""
     if error is None:
         return {}
     facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
     return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
 
 
-# The timeout must cover a rank that converts a robot or compiles kernels while all other ranks wait.
+# The timeout must be long enough for one rank to convert a robot or compile kernels while all other ranks wait.
 _PATIENCE = timedelta(minutes=30)
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """One of the processes that train one policy together. A single process is rank 0 of 1.
+    """One of the processes (ranks) that train one policy together. A process that trains alone is rank 0 of 1.
 
-    ``rank`` is the number of this process, from 0; the first rank writes the run directory. ``size`` is the number of
-    ranks. ``local`` and ``locals`` count the ranks of this machine only.
+    ``rank`` is the number of this process, from 0. The first rank writes the run directory. ``size`` is the number of
+    ranks. ``local`` is the number of this process on this machine, and ``locals`` is the number of ranks on this
+    machine.
     """
 
     rank: int = 0
@@ -101,7 +102,7 @@ class Ranks:
 
     @property
     def first(self) -> bool:
-        """Whether this rank is the first one, which writes the run directory."""
+        """Whether this process is the first rank, which writes the run directory."""
         return self.rank == 0
 
     @property
@@ -114,7 +115,7 @@ class Ranks:
         return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
 
     def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the config of this rank, with its own GPU for ``cuda`` or ``cuda:0``, and its share of the cores."""
+        """Return the config of this process (rank), with its own GPU for ``cuda`` and its share of the CPU cores."""
         if not self.together:
             return dict(config)
         agent, env = dict(config["agent"]), dict(config["env"])
@@ -130,14 +131,14 @@ class Ranks:
         if kind != "cuda":
             return name
         if number not in ("", "0"):
-            raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
+            raise ConfigError(f"all {self.size} processes would share '{name}'", key=key, expected="cuda: one for each")
         if self.local >= torch.cuda.device_count():
             message = f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs"
             raise ConfigError(message, key=key, expected="as many GPUs as torchrun's --nproc-per-node")
         return f"cuda:{self.local}"
 
     def for_rsl_rl(self) -> dict[str, int] | None:
-        """Return ``multi_gpu`` of rsl_rl's algorithms; None for a single rank."""
+        """Return the value of rsl_rl's parameter ``multi_gpu``; None if one process trains alone."""
         return {"global_rank": self.rank, "local_rank": self.local, "world_size": self.size} if self.together else None
 
     def facts(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -151,11 +152,11 @@ class Ranks:
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
 
     def tell_all(self, value: Any) -> list[Any]:
-        """Send a plain value to all ranks; return the values of all ranks in order."""
+        """Send a JSON value to all processes (ranks). Return the values of all ranks in the order of the ranks."""
         return [json.loads(content) for content in self._gathered(json.dumps(value).encode(), everywhere=True) or ()]
 
     def any(self, flag: bool) -> bool:
-        """Return whether the flag of any rank is set."""
+        """Return whether the flag is true on at least one process (rank)."""
         if not self.together:
             return flag
         number = torch.tensor([int(flag)])
@@ -164,11 +165,11 @@ class Ranks:
         return bool(number.item())
 
     def said_by_first(self, value: Any) -> Any:
-        """Send a plain Python value from the first rank to all ranks, and return it."""
+        """Send a JSON value from the first process (rank) to all ranks. Return the first rank's value on every rank."""
         return self.tell_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the trees of tensors, numbers, and text of all ranks; on other ranks than the first, an empty list."""
+        """Return the trees of tensors, numbers, and text of all ranks; an empty list except on the first rank."""
         if not self.together:
             return [dict(tree)]
         found = self._gathered(checkpoint.serialize(tree), everywhere=False)
@@ -192,7 +193,7 @@ class Ranks:
 
     @contextmanager
     def agreed(self) -> Iterator[None]:
-        """If the body raises a WheellegError on one rank, raise an error on all ranks.
+        """If the block raises a WheellegError on one process (rank), raise an error on all ranks.
 
         The first rank raises the error of the rank that failed, with its evidence. All other ranks raise
         FirstRankFailed.
@@ -224,7 +225,7 @@ class Ranks:
             )
 
     def require_equal(self, values: Mapping[str, str]) -> None:
-        """Raise ConfigError if digests, given by name, differ between ranks."""
+        """Raise ConfigError if the digests of config files, given by name, differ between processes (ranks)."""
         if not self.together:
             return
         received = self.tell_all(dict(values))
@@ -237,8 +238,8 @@ class Ranks:
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
         """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        ``times`` are the keys of scalars that are durations. Ranks other than the first get their own scalars back
-        unchanged.
+        ``times`` are the keys of scalars that are durations. The first rank gets the merged scalars. All other ranks
+        get their own scalars unchanged.
         """
         if not self.together:
             return dict(scalars)
@@ -258,7 +259,7 @@ ALONE = Ranks()
 
 @contextmanager
 def joined() -> Iterator[Ranks]:
-    """Join the ranks that torchrun started (``WORLD_SIZE`` and ``RANK``). Without torchrun there is a single rank."""
+    """Join the processes (ranks) that torchrun started. Without torchrun, there is one rank."""
     size = world_size()
     if size <= 1:
         yield ALONE
@@ -276,7 +277,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # After an error, destroy_process_group would wait for dead ranks.
+    dist.destroy_process_group()  # After an error, destroy_process_group would wait for processes that have stopped.
 
 
 OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")
@@ -284,21 +285,21 @@ RANKS_KEY = "ranks"
 
 
 def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state of all ranks on the first rank, and the own state on other ranks. All ranks must call this."""
+    """Return the states of all ranks on the first rank, and a rank's own state elsewhere. All ranks must call this."""
     parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
     return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
 
 
 def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
-    """Return the state of one rank out of the state of all ranks."""
+    """Extract the state of one process (rank) from the state of all ranks."""
     own = state[RANKS_KEY][rank - 1] if rank else {}
     return {**{key: value for key, value in state.items() if key != RANKS_KEY}, **own}
 
 
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
-    """Return the digests of the state of all ranks, and whether all ranks have the same networks.
+    """Return the digests of the state of all processes (ranks), and whether all ranks have equal networks.
 
-    All ranks must call this function with their own state, or with a part of it.
+    Each rank must call the function with the rank's own state, or with a part of this state.
     """
     mine = digests.of_state(state)
     if not ranks.together:

@@ -1,4 +1,4 @@
-"""Mirror whole observations and actions left to right, for rsl_rl's symmetry extension and its mirror loss."""
+"""Mirror observations and actions left to right, for rsl_rl's symmetry extension and its mirror loss."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _MAX_TARGET_ERROR = 1e-4  # rad
 class Mirror:
     """Mirrors observations and actions of an environment left to right.
 
-    ``groups`` are the observation groups that networks read. A robot that is not symmetric, or a term without a mirror
-    rule, raises ConfigError.
+    ``groups`` are the observation groups that networks read. The constructor raises ConfigError if the robot is not
+    symmetric or if a term has no mirror rule.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Mirror:
             if abs(pose[image] - sign * pose[joint]) > _MAX_TARGET_ERROR:
                 names = robot.joint_names
                 raise ConfigError(
-                    f"'{names[joint]}' and its image '{names[image]}' start at {pose[joint]:g} and {pose[image]:g} rad",
+                    f"'{names[joint]}' starts at {pose[joint]:g}, its mirror joint '{names[image]}' at {pose[image]:g}",
                     key="env.robot.init_state.joint_pos",
                     expected=f"{sign * pose[joint]:g} rad for '{names[image]}'; or other {JOINT_PAIRS_KEY}",
                 )
@@ -61,21 +61,21 @@ class Mirror:
         self._action_tensors = _index_and_sign_tensors(self._action, device)
 
     def observations(self, observations: TensorDict) -> TensorDict:
-        """Return the image of a batch. Groups that no network reads do not change."""
+        """Return the mirror image of a batch of observations. Groups that no network reads do not change."""
         turned = {**dict(observations.items()), **self.images(observations)}
         return TensorDict(turned, batch_size=observations.batch_size)
 
     def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
-        """Return the images of the groups that networks read."""
+        """Return the mirror images of the observation groups that networks read."""
         return {name: observations[name][:, sources] * signs for name, (sources, signs) in self._groups.items()}
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return the image of raw actions (B, A)."""
+        """Return the mirror image of raw actions (B, A)."""
         sources, signs = self._action_tensors
         return actions[:, sources] * signs
 
     def _actions(self) -> SignedSources:
-        """Return the mirror rule of the action vector. Mirrored actions must set mirrored joint targets."""
+        """Return the mirror rule of the action vector. Mirrored actions must result in mirrored joint targets."""
         manager = self._env.action_manager
         columns: dict[tuple[str, str], int] = {}
         made: list[tuple[str, str, float, float]] = []
@@ -85,8 +85,8 @@ class Mirror:
             path = f"env.actions.{name}"
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
-                raise ConfigError("the term's actions have no known mirror image", key=path, expected=expected)
-            # Process actions of 0 and 1 to find offset and scale of each action, without changing the term's state.
+                raise ConfigError("the mirror image of this action term is unknown", key=path, expected=expected)
+            # Process actions of 0 and 1 to find the offset and scale of each action, then restore the term's state.
             saved, zeros = term.state_dict(), torch.zeros_like(term.raw_actions)
             term.process_actions(zeros)
             offset = term.processed_actions[0].clone()
@@ -136,7 +136,7 @@ class Mirror:
             shown = rule if isinstance(rule, str) else list(rule)
             message = f"the mirror rule {shown} has {len(turned)} numbers, and the term has {width}"
             raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
-        # Raise ConfigError if clip or scale treat a number and its image differently.
+        # Raise ConfigError if clip or scale differ between an observed number and its mirror image.
         clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
         if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
             message = "the bounds are not symmetric, and some numbers change their sign in a mirror"
@@ -155,11 +155,11 @@ class MirroredHalf:
         self._mirrored = (torch.arange(num_envs, device=mirror.device) % 2 == 1).unsqueeze(1)
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return raw actions (N, A) of the policy as actions for the environments."""
+        """Return the policy's raw actions (N, A), mirrored for every second environment."""
         return torch.where(self._mirrored, self._mirror.actions(actions), actions)
 
     def observations(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Return observations (N, ...) by group for the networks. Groups that no network reads do not change."""
+        """Return observations (N, ...), mirrored in every second environment if a network reads the group."""
         images = self._mirror.images(observations)
         return {**observations, **{g: torch.where(self._mirrored, v, observations[g]) for g, v in images.items()}}
 
@@ -167,7 +167,7 @@ class MirroredHalf:
 def left_right(
     env: Any, obs: TensorDict | None = None, actions: torch.Tensor | None = None
 ) -> tuple[TensorDict | None, torch.Tensor | None]:
-    """Return observations and actions (B, A), each followed by its mirror image, for rsl_rl's symmetry extension."""
+    """Return observations and actions (B, A), followed by their mirror images, for rsl_rl's symmetry extension."""
     mirror: Mirror = env.mirror
     both = None if obs is None else torch.cat((obs, mirror.observations(obs)), dim=0)
     return both, None if actions is None else torch.cat((actions, mirror.actions(actions)), dim=0)
@@ -179,13 +179,13 @@ def _index_and_sign_tensors(turned: SignedSources, device: str | torch.device) -
 
 
 def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
-    """Return the ``agent.symmetry`` section, or None."""
+    """Return the config section ``agent.symmetry``; None if the section is missing."""
     section = agent.get("symmetry")
     return None if section is None else SymmetryOptions(**section)
 
 
 def is_mirror_loss_only(symmetry: Any) -> bool:
-    """Return whether rsl_rl's symmetry uses ``left_right`` for a loss only, so that ``mirror_loss`` can replace it."""
+    """Return whether rsl_rl uses ``left_right`` only for a mirror loss, so that ``mirror_loss`` can replace it."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
     return ours and not symmetry.use_data_augmentation
 
@@ -201,9 +201,9 @@ def replace_mirror_loss(algorithm: Any) -> None:
 def mirror_loss(symmetry: Symmetry, actor: Any, observations: Any) -> torch.Tensor:
     """Return the mean squared difference between actions for mirrored observations and mirrored actions.
 
-    Value and gradient are the same as those of ``Symmetry.compute_loss`` of rsl_rl 5.5. rsl_rl evaluates the policy
-    once more and sends a gradient of 0 back through it. ``mirror_loss`` uses the actions that were computed last, so
-    the policy must have been evaluated on these observations last.
+    The loss and its gradient are equal to those of ``Symmetry.compute_loss`` in rsl_rl 5.5. rsl_rl evaluates the policy
+    a second time, only to backpropagate a gradient of 0. ``mirror_loss`` reuses the actions of the last forward pass,
+    whose input must have been ``observations``.
     """
     mirror = symmetry.env.mirror
     wanted = mirror.actions(actor.output_mean.detach())

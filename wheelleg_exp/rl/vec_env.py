@@ -1,4 +1,4 @@
-"""The environment as rsl_rl expects it."""
+"""Adapt an environment to the interface that rsl_rl expects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class RslRlVecEnv(VecEnv):
     """Adapts ``ManagerBasedRLEnv`` to rsl_rl's ``VecEnv``.
 
     Args:
-        env: the environment. The constructor resets it, as Isaac Lab's wrapper does.
+        env: the environment. The constructor resets the environment, as Isaac Lab's wrapper does.
         clip_actions: bound of the raw actions, or None.
     """
 
@@ -28,8 +28,8 @@ class RslRlVecEnv(VecEnv):
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
         self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
-        self.mirror: Any = None  # makes mirror images for rsl_rl's symmetry
-        self.half: Any = None  # mirrors every second environment during training
+        self.mirror: Any = None  # rsl_rl's symmetry extension needs this mirror
+        self.half: Any = None  # this object mirrors every second environment during training
         env.reset()
 
     @property
@@ -39,7 +39,7 @@ class RslRlVecEnv(VecEnv):
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
-        """Control steps of each current episode, (N,)."""
+        """The number of control steps since the start of each environment's episode, (N,)."""
         return self.env.episode_length_buf
 
     @episode_length_buf.setter
@@ -47,14 +47,14 @@ class RslRlVecEnv(VecEnv):
         self.env.episode_length_buf.copy_(value)
 
     def get_observations(self) -> TensorDict:
-        """Return the last observations. This draws no random numbers and changes no state."""
+        """Return the last observations. The method draws no random numbers and changes no state."""
         return self._as_tensordict(self.env.observation_manager.obs_buf)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Apply actions (N, A) and return observations, rewards (N,), dones (N,) long, and extras.
 
-        ``extras`` has ``time_outs`` (N,), for which rsl_rl adds the value of the next state, unless
-        ``env.is_finite_horizon`` is set.
+        ``extras`` contains ``time_outs`` (N,). rsl_rl adds the value of the next state to the reward at a time-out, but
+        not if ``env.is_finite_horizon`` is set.
         """
         if self._clip_actions is not None:
             actions = actions.clamp(-self._clip_actions, self._clip_actions)

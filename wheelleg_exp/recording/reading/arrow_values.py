@@ -28,21 +28,21 @@ _COMPONENT_TYPES: dict[str, pa.DataType] = {
 
 
 def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
-    """Return Arrow values as Python values; None for values that Arrow cannot convert.
+    """Convert Arrow values to Python values. Values that Arrow cannot convert become None.
 
-    Times become integers in the unit of the Arrow type, which is nanoseconds in rerun's files. Python's time types have
-    a resolution of microseconds, and Arrow requires pandas for nanoseconds.
+    Times become integers in the unit of the Arrow type, which is nanoseconds in rerun's files. Times become integers
+    because Python's time types only have microseconds, and Arrow needs pandas for nanoseconds.
     """
     if any(pa.types.is_union(kind) or pa.types.is_map(kind) for kind in _nested_types(array.type)):
         return [None] * len(array)
     try:
         return array.cast(_times_as_integers(array.type)).to_pylist()
-    except ValueError:  # Arrow raises ValueError if two fields of a struct have the same name.
+    except ValueError:  # Arrow raises ValueError if two fields of an Arrow struct have equal names.
         return [None] * len(array)
 
 
 def as_number(value: Any) -> float | None:
-    """Return a value as a float; None when the value is not a number."""
+    """Convert a value to a float; return None if the value is not a number."""
     return float(value) if isinstance(value, int | float) else None
 
 
@@ -52,12 +52,12 @@ def is_list(kind: pa.DataType) -> bool:
 
 
 def is_component(field: pa.Field) -> bool:
-    """Return whether a column of an Arrow record batch is a rerun component."""
+    """Return whether a column of an Arrow record batch contains data (a rerun component)."""
     return (field.metadata or {}).get(b"rerun:kind") == b"data"
 
 
 def is_index(field: pa.Field) -> bool:
-    """Return whether a column of an Arrow record batch is a rerun timeline."""
+    """Return whether a column of an Arrow record batch contains times (a rerun timeline)."""
     return (field.metadata or {}).get(b"rerun:kind") == b"index"
 
 
@@ -67,9 +67,9 @@ def short_name(name: str) -> str:
 
 
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return an Arrow record batch's timelines and components, converted to the Arrow types for their names.
+    """Return an Arrow record batch in which each known column has the Arrow type that belongs to the column's name.
 
-    A column is omitted if its Arrow type cannot be converted, or if an earlier column has the same short name.
+    A column is omitted if its values cannot be converted, or if an earlier column has the same short name.
     """
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))
@@ -90,7 +90,7 @@ def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:
-    """Return whether two Arrow types are equal except for the precision of numbers."""
+    """Return whether two Arrow types are equal or differ only in the precision of numbers."""
     if pa.types.is_null(kind):
         return True
     if is_list(wanted):

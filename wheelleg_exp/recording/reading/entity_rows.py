@@ -1,4 +1,4 @@
-"""Read the rows of a recording by rerun entity."""
+"""Read the recorded rows of each rerun entity."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SCALARS = "scalars"
 
 
 class EntityRows:
-    """The rows of each rerun entity in the file of a recording.
+    """Gives access to the recorded rows of each rerun entity in a recording's file.
 
-    The constructor raises RunDirectoryError for a missing or empty file, a file without a recording, and a file with
-    several recordings of which ``recording_id`` chooses none.
+    The constructor raises RunDirectoryError if the file is missing, empty, or not a recording, or if the file contains
+    several recordings and ``recording_id`` does not select one.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
@@ -42,24 +42,24 @@ class EntityRows:
         return [name for name in TIMELINES if name in found]
 
     def reach(self, timeline: str) -> tuple[float, float] | None:
-        """Return the first and the last value of a timeline, in s for ``sim_time``; None for an empty timeline."""
+        """Return the first and the last value of a timeline (s for ``sim_time``); None for an empty timeline."""
         found = self._contents.reach.get(timeline)
         scale = 1e-9 if timeline == SIM_TIME else 1.0
         return None if found is None else (found[0] * scale, found[1] * scale)
 
     def columns(self, entity: str) -> set[str]:
-        """Return the names of the entity's timelines, and of the components that were recorded over time."""
+        """Return the names of an entity's timelines and of the components that the entity recorded over time."""
         pieces = [piece for piece in self._contents.pieces.get(entity.strip("/"), ()) if not piece.is_static]
         return {short_name(name) for piece in pieces for name in piece.names}
 
     def archetypes(self, entity: str) -> set[str]:
-        """Return the archetypes of an entity's static components, such as ``Boxes3D``."""
+        """Return the names of rerun's archetypes, such as ``Boxes3D``, in the static data of an entity."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         names = (name for piece in pieces if piece.is_static for name in piece.names)
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return the rows of an entity in the format of ``Recording.table``; raise KeyError without rows."""
+        """Return the rows of an entity in the format of ``Recording.table``. Raise KeyError without rows."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:
@@ -67,7 +67,7 @@ class EntityRows:
             try:
                 table = pa.concat_tables(tables, promote_options="permissive").combine_chunks()
                 if STEP in table.column_names:
-                    # A row without a control step cannot be sorted among rows with control steps.
+                    # Drop rows without a control step, because rows are sorted by control step.
                     table = table.filter(table.column(STEP).is_valid()) if table.column(STEP).null_count else table
                     steps = np.asarray(table.column(STEP))
                     if not (steps[1:] >= steps[:-1]).all():
@@ -78,7 +78,7 @@ class EntityRows:
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
-        """Return the numbers of an entity, (rows, width); raise RunDirectoryError if the rows differ in width."""
+        """Return the numbers of an entity, (rows, width). Raise RunDirectoryError if the rows have different widths."""
         table = self.rows(entity)
         if SCALARS not in table.column_names:
             message = f"'{entity}' of '{self.path}' contains no numbers"
@@ -89,11 +89,11 @@ class EntityRows:
         except (pa.ArrowException, ValueError, TypeError, AttributeError) as error:
             raise self._mixed(entity) from error
         if len(flat) != len(table) * width:
-            raise RunDirectoryError(f"the rows of '{entity}' of '{self.path}' differ in width")
+            raise RunDirectoryError(f"the rows of '{entity}' in '{self.path}' have different widths")
         return flat.reshape(len(table), -1)
 
     def width(self, entity: str) -> int:
-        """Return the number of values in the first row of an entity."""
+        """Return how many numbers the first row of an entity contains."""
         lengths = pc.list_value_length(self.rows(entity).column(SCALARS).slice(0, 1))
         return (lengths[0].as_py() or 0) if len(lengths) else 0
 
@@ -102,24 +102,24 @@ class EntityRows:
         return [str(word)[:LONGEST_TEXT] for word in self.static(entity).get("names", [])]
 
     def static(self, entity: str) -> dict[str, list[Any]]:
-        """Return the static values of an entity by component; an empty dictionary without static values."""
+        """Return the static data of an entity by component; an empty dictionary if the entity has no static data."""
         path = entity.strip("/")
         if path not in self._statics:
             self._statics[path] = latest(self._contents.rows(path, static=True))
         return {name: python_values(array)[0] or [] for name, array in self._statics[path].items()}
 
     def has_rows(self, entity: str) -> bool:
-        """Return whether an entity was recorded over time."""
+        """Return whether an entity has rows over time, not only static data."""
         return self.count(entity) > 0
 
     def count(self, entity: str) -> int:
-        """Return the number of rows of an entity, without static rows."""
+        """Return the number of an entity's rows over time; static rows are not counted."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         return sum(piece.batch.num_rows for piece in pieces if not piece.is_static)
 
     @property
     def health(self) -> Health:
-        """The health of the recording's file."""
+        """The state of the recording's file: complete, truncated, or damaged."""
         return self._contents.health
 
     def _mixed(self, entity: str) -> RunDirectoryError:

@@ -1,4 +1,4 @@
-"""Read the numbers of a recording by name, and groups of numbers as tables."""
+"""Find recorded numbers by name, and read groups of recorded numbers as tables."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
 _NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
-# Damaged files must not exceed these limits: numbers of an entity, numbers of a recording, characters of all group
-# names.
+# The limits for damaged files: numbers per entity, numbers per recording, characters of all group names.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 
@@ -33,7 +32,7 @@ class Number:
 
 
 class NumberNames:
-    """The names of all numbers of a recording."""
+    """Gives access to the names of all recorded numbers of a recording."""
 
     def __init__(self, rows: EntityRows) -> None:
         self._rows = rows
@@ -42,7 +41,7 @@ class NumberNames:
 
     @cached_property
     def groups(self) -> dict[str, list[str]]:
-        """The rerun entities with numbers below each entity path, in the order of a group's columns."""
+        """The rerun entities that contain numbers, by parent entity path, in the order of the group's columns."""
         found: dict[str, list[str]] = {}
         room = _LETTERS
         for entity in self._entities:
@@ -66,8 +65,7 @@ class NumberNames:
         numbers = (n for entity in (*own, *self.groups.get(path, ())) for n in self._numbers(entity, depth))
         found = []
         for number in self._within_bounds(numbers):
-            # A number must not have the name of a timeline, so `step` of the entity `episode/step` becomes
-            # `episode.step`.
+            # Rename `step` of the entity `episode/step` to `episode.step`, because `step` is a timeline.
             if number.name in TIMELINES:
                 name = ".".join(unescaped(part) for part in parts_of(number.entity)[-2:])
                 number = Number(name, number.entity, number.index)
@@ -75,7 +73,7 @@ class NumberNames:
         return found
 
     def all(self, branch: str) -> dict[str, Number]:
-        """Return by dotted name the numbers of one environment, and the numbers that belong to no environment."""
+        """Return by dotted name all recorded numbers of one environment, and all numbers of no environment."""
         if branch not in self._by_branch:
             depths = {e: int(bool(branch) and e.split("/")[0] == branch) for e in self._entities}
             shared = [e for e, depth in depths.items() if depth or not BRANCH.match(f"{e}/")]
@@ -109,22 +107,22 @@ class NumberNames:
 
 
 def is_numeric(rows: EntityRows, entity: str) -> bool:
-    """Return whether a rerun entity contains numbers, not shapes, poses, or texts."""
+    """Return whether a rerun entity contains plain numbers instead of shapes, poses, or texts."""
     return entity.split("/")[0] not in _NOT_NUMBERS and SCALARS in rows.columns(entity)
 
 
 def parts_of(path: str) -> list[str]:
-    """Return the parts of a rerun entity path, including escape characters."""
+    """Split a rerun entity path into its names, which still contain escape characters."""
     return _PART.findall(path)
 
 
 def unescaped(part: str) -> str:
-    """Return a part of a rerun entity path without escape characters."""
+    """Remove the escape characters from a name in a rerun entity path."""
     return re.sub(r"\\(.)", r"\1", part)
 
 
 def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
-    """Return a table of timelines and numbers, sorted by control step; a missing number is NaN."""
+    """Return a table of timelines and recorded numbers, sorted by control step, in which a missing number is NaN."""
     timeline = _timeline(rows, [n.entity for n in numbers])
     columns = {name: pa.array(column) for name, column in timeline.columns.items()}
     for number in numbers:
@@ -134,7 +132,7 @@ def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
 
 
 def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
-    """Return numbers as an array (rows, width), sorted by control step; a missing number is NaN."""
+    """Return recorded numbers as an array (rows, width), sorted by control step, in which a missing number is NaN."""
     timeline = _timeline(rows, [n.entity for n in numbers])
     return np.stack([timeline.placed(n.entity, rows.matrix(n.entity)[:, n.index]) for n in numbers], axis=1)
 
@@ -143,8 +141,8 @@ def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
 class _Timeline:
     """The union of the control steps of several rerun entities.
 
-    ``columns`` are the timelines that all entities have; ``sim_time`` is in s. ``rows`` are the indices of each
-    entity's rows in the union; None if an entity has all rows.
+    ``columns`` are the timelines that all entities have in common, with ``sim_time`` in s. ``rows`` contains the
+    indices of each entity's rows in the union, or None if the entity has a row for every step of the union.
     """
 
     columns: dict[str, NDArray]

@@ -1,4 +1,4 @@
-"""Read the rows of a recording's file by rerun entity, and check how much of the file is readable."""
+"""Read the rows of each rerun entity from a recording's file, and check how much of the file is readable."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Health:
         return self.is_closed and not self.damaged
 
     def lines(self) -> list[str]:
-        """Return sentences about the recording's file for the user; the first line is the verdict."""
+        """Return sentences about the state of the recording's file for the user. The first sentence is a summary."""
         found = ["whole" if self.is_whole else "not whole"]
         if self.readable < self.size and not self.is_closed:
             found.append(f"cut off at byte {self.readable} of {self.size}: no whole message follows")
@@ -59,7 +59,7 @@ class Health:
         return found
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the health of a recording's file as a dictionary."""
+        """Return the state of the recording's file as a dictionary for JSON."""
         return {"is_whole": self.is_whole, **asdict(self), "lost": self.size - self.readable}
 
 
@@ -67,7 +67,7 @@ class Health:
 class Piece:
     """The rows of one message of an rrd file, either static or over time.
 
-    The metadata of an Arrow field is either ``index`` for a timeline or ``data`` for a component.
+    The metadata of an Arrow field is ``index`` if the field is a timeline, and ``data`` if the field is a component.
     """
 
     batch: pa.RecordBatch
@@ -80,10 +80,10 @@ class Piece:
 
 
 class Contents:
-    """The rows of a recording by rerun entity: ``pieces`` are the rows of each message.
+    """The rows of a recording. ``pieces`` maps each rerun entity to the rows of the entity's messages.
 
-    The constructor reads all complete messages of the file. The constructor raises RunDirectoryError for a missing
-    file, a file without a recording, and a file with several recordings of which ``recording_id`` chooses none.
+    The constructor reads all complete messages of the file. The constructor raises RunDirectoryError if the file is
+    missing or not a recording, or if the file contains several recordings and ``recording_id`` does not select one.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None) -> None:
@@ -107,7 +107,7 @@ class Contents:
 
     @cached_property
     def reach(self) -> dict[str, tuple[int, int]]:
-        """The first and the last value of each timeline; ``sim_time`` is in ns."""
+        """The first and the last value of each timeline by name. The unit of ``sim_time`` is ns."""
         found: dict[str, tuple[int, int]] = {}
         for batch in (piece.batch for pieces in self.pieces.values() for piece in pieces if not piece.is_static):
             for name in TIMELINES:
@@ -120,11 +120,11 @@ class Contents:
         return found
 
     def rows(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield a rerun entity's timelines and components, converted to the Arrow types for their names."""
+        """Yield the rows of a rerun entity, in which each known column has the Arrow type for its name."""
         return map(known_columns, self.batches(entity, static=static))
 
     def batches(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of a rerun entity in file order, without type conversion."""
+        """Yield the rows of a rerun entity in the order of the file, without conversion of Arrow types."""
         return (piece.batch for piece in self.pieces.get(entity, ()) if piece.is_static == static)
 
     def _chosen(self, stores: Mapping[tuple[str, str], list[Chunk]], wanted: str | None) -> str:
@@ -142,14 +142,14 @@ class Contents:
 
 
 def columns(batch: pa.RecordBatch) -> pa.Table:
-    """Return the timelines and components of an Arrow record batch as a table with short column names."""
+    """Convert an Arrow record batch to a table of its timelines and components with short column names."""
     chosen = [i for i, field in enumerate(batch.schema) if field.name in TIMELINES or is_component(field)]
     names = [short_name(batch.schema.field(i).name) for i in chosen]
     return pa.table([batch.column(i) for i in chosen], names=names)
 
 
 def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
-    """Return the last row of each rerun component by the component's short name."""
+    """Return the last recorded value of each rerun component by the component's short name."""
     found: dict[str, pa.Array] = {}
     for batch in batches:
         for field, array in zip(batch.schema, batch.columns, strict=True):
@@ -160,7 +160,7 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 
 @contextmanager
 def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
-    """Yield a temporary, closed copy of a truncated or damaged recording, and the number of unreadable messages.
+    """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
     rerun's own program writes the copy, because a damaged message can terminate the process that decodes it. The
     function raises RunDirectoryError if no message is readable.
@@ -174,14 +174,14 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Damaged messages are counted in rerun's log. The number of rows in the copy does not help, because the copy
-        # also lacks static rows that later rows replace.
+        # Count the damaged messages in rerun's log, because the number of rows in the copy is not reliable.
+        # The copy also lacks static rows that later static rows replace.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 
 def _stores(path: Path) -> dict[tuple[str, str], list[Chunk]] | None:
-    """Return the chunks of a closed rrd file by the kind and the id of their rerun store; None for a damaged file."""
-    from rerun.chunk import RrdReader  # The import of rerun takes 0.25 s.
+    """Return the data chunks of a closed rrd file by kind and id of the rerun store; None for a damaged file."""
+    from rerun.chunk import RrdReader  # Import rerun only here, because the import takes 0.25 s.
 
     try:
         reader = RrdReader(path)
@@ -209,7 +209,7 @@ def _opened(path: Path) -> RrdFile:
         message = f"the recording '{path}' has another format ({head[:4].decode('latin-1')!r})"
         raise RunDirectoryError(message, expected="'RRF2', which rerun writes since 0.23")
     if len(head) < HEADER_SIZE:
-        raise RunDirectoryError(f"the recording '{path}' is cut off in its header", expected="a whole recording")
+        raise RunDirectoryError(f"the recording '{path}' has an incomplete header", expected="a whole recording")
     if head[SERIALIZER_AT] != PROTOBUF:
         old = f"the recording '{path}' was written by rerun {_writer(head)}, in a format that is no longer supported"
         raise RunDirectoryError(old, expected="a recording of rerun 0.23 or later")

@@ -24,11 +24,11 @@ LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 
 def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
-    """Return a sha256 over the content of a recording, including every bit of every number.
+    """Return a sha256 over the content of a recording. One different bit of a number changes the sha256.
 
-    The row ids and chunk boundaries of two recordings always differ. The digest ignores row ids, chunk boundaries, and
-    the recording's name, id, properties, and layout. ``without`` lists entity paths that are ignored, together with all
-    entities below these paths.
+    The ids of rows and the boundaries of chunks always differ between recordings. So the digest ignores row ids, chunk
+    boundaries, and the recording's name, id, properties, and layout. The digest also ignores the entities at and below
+    the paths ``without``.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -37,7 +37,7 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
 
 
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
-    """Return a sha256 of each rerun entity's content, by the entity path."""
+    """Return a sha256 over the content of each rerun entity, by entity path."""
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
     heads = (HIDDEN, *(f"{path}/" for path in left_out))
@@ -50,7 +50,7 @@ def _digest(contents: Contents, entity: str) -> str:
     static = latest(contents.batches(entity, static=True))
     arrays = [(f"static {name}", static[name]) for name in sorted(static)]
     tables = [columns(batch) for batch in contents.batches(entity, static=False)]
-    with suppress(pa.ArrowException):  # Other programs' recordings can mix types.
+    with suppress(pa.ArrowException):  # Other programs can record rows with different Arrow types.
         tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
     for table in tables:
         rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table

@@ -1,4 +1,4 @@
-"""Repair a truncated or damaged recording."""
+"""Repair a truncated or damaged rerun recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, Health, 
 class Repaired:
     """The result of a repair: the file that was read, the repaired file, and the health of the file that was read.
 
-    ``output`` is None if the recording is complete and needs no repair.
+    ``output`` is None if the recording was complete, so that no file was written.
     """
 
     path: Path
@@ -25,10 +25,10 @@ class Repaired:
 
 
 def repair(path: Path, output: Path | None = None) -> Repaired:
-    """Write every readable message of a recording, with an index, to another file.
+    """Write a repaired copy of a recording, which contains every readable message and an index.
 
     The default output is ``<name>.repaired.rrd`` in the same folder. The function raises RunDirectoryError if the
-    recording is unreadable or the output exists.
+    recording is unreadable or the output file already exists.
     """
     health = Contents(path).health
     if health.is_whole:
@@ -41,7 +41,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             output.parent.mkdir(parents=True, exist_ok=True)
             written.write_bytes(closed.read_bytes())
             try:
-                os.link(written, output)  # Unlike a rename, a hard link never replaces an existing file.
+                os.link(written, output)  # A hard link never replaces an existing file, unlike a rename.
             except FileExistsError:
                 _require_free(output)
     finally:
@@ -52,4 +52,4 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
 
 def _require_free(output: Path) -> None:
     if output.exists() or output.is_symlink():
-        raise RunDirectoryError(f"'{output}' exists and is not overwritten", expected="a free path (-o)")
+        raise RunDirectoryError(f"the file '{output}' exists and is not overwritten", expected="a free path (-o)")

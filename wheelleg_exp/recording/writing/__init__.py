@@ -1,4 +1,4 @@
-"""Record environments into a growing rerun file, without changing the environments.
+"""Record environments to a growing rerun file, without an effect on the simulation.
 
 | module | offers |
 |---|---|

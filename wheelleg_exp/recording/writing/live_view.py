@@ -1,4 +1,4 @@
-"""Show a growing recording in rerun's viewer. A child process reads the growing file."""
+"""Show a growing recording in rerun's viewer. A child process sends the growing file to the viewer."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from wheelleg_exp.recording.blueprint import blueprint
 from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.rrd_file import APPLICATION, HEADER_SIZE, STORE_INFO, RrdFile
 
-if TYPE_CHECKING:  # The recorder imports torch and mujoco, which `wheelleg inspect` does not need.
+if TYPE_CHECKING:  # At runtime, the import of the recorder would import torch and mujoco.
     from wheelleg_exp.recording.writing.recorder import Recorder
 
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
 _POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
-_CHUNKS_PER_FLUSH = 500  # After 500 chunks, the sender waits until rerun's viewer has received all chunks.
+_CHUNKS_PER_FLUSH = 500  # After this number of data chunks, wait until rerun's viewer has received all chunks.
 _NOWHERE = f"http://{LOOPBACK}:9"  # Port 9 belongs to the discard service, and no server listens on this port.
 
 
@@ -56,15 +56,15 @@ def viewer_environment() -> dict[str, str]:
 
 
 class Follower:
-    """A reader of a growing recording that yields each complete message once, even if the file is renamed."""
+    """Reads a growing recording, and yields each complete message once, even if the file is renamed."""
 
     def __init__(self, path: Path) -> None:
         self._file = RrdFile(path)
         self._place = HEADER_SIZE
-        self._announced = b""  # The bytes that announce a recording to rerun's decoder.
+        self._announced = b""  # The message that must precede the data chunks of a recording in every file.
 
     def chunks(self) -> Iterator[tuple[str, Chunk]]:
-        """Yield the id of the recording with each chunk that has been completed since the last call."""
+        """Yield each data chunk that was completed since the last call, with the id of the chunk's recording."""
         self._file.refresh()
         begin = self._place
         for message in self._file.messages(begin):
@@ -78,7 +78,7 @@ class Follower:
             segment.writelines(self._file.body(begin))
             segment.flush()
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # rerun would warn that the temporary file has no index.
+                warnings.simplefilter("ignore")  # Suppress rerun's warning that the temporary file has no index.
                 reader = RrdReader(segment.name)
                 for entry in reader.recordings():
                     for chunk in reader.stream(store=entry):
@@ -86,9 +86,9 @@ class Follower:
 
 
 class Feed:
-    """A sender of a growing recording, and of the layouts in ``folder``, to rerun's viewer at ``port``.
+    """Sends a growing recording, and the layouts in ``folder``, to rerun's viewer at the network port ``port``.
 
-    ``is_open`` returns whether the viewer still runs.
+    The function ``is_open`` returns whether the viewer still runs.
     """
 
     def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
@@ -99,7 +99,7 @@ class Feed:
         self._layout_time = -1
 
     def step(self) -> None:
-        """Send the new chunks; raise ViewerLostError if the viewer does not receive the chunks."""
+        """Send the new data chunks. Raise ViewerLostError if the viewer does not receive the chunks."""
         for number, (recording_id, chunk) in enumerate(self._follower.chunks(), start=1):
             if self._stream is None:
                 self._stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, send_properties=False)
@@ -127,11 +127,11 @@ class Feed:
                 if not self._is_open():
                     raise ViewerLostError("the viewer was closed") from error
                 if time.monotonic() > end:
-                    raise ViewerLostError("the viewer receives nothing any more") from error
+                    raise ViewerLostError("rerun's viewer no longer receives data") from error
 
 
 def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
-    """Open rerun's viewer and send the recording to the viewer until standard input closes at the end of the run."""
+    """Open rerun's viewer and send the recording to it. Stop when standard input closes, at the end of the run."""
     port = free_port()
     command = [word.replace("{port}", str(port)) for word in viewer] or viewer_command(port)
     silent = subprocess.DEVNULL
@@ -155,13 +155,13 @@ def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
     end = time.monotonic() + _START_S
     while time.monotonic() < end:
         if process.poll() is not None:
-            raise ViewerLostError("the viewer cannot be opened; is there a display?")
+            raise ViewerLostError("rerun's viewer stopped at its start; perhaps there is no display")
         try:
             with socket.create_connection((LOOPBACK, port), timeout=1.0):
                 return
         except OSError:
             time.sleep(0.1)
-    raise ViewerLostError("the viewer does not answer")
+    raise ViewerLostError("rerun's viewer does not answer")
 
 
 def free_port() -> int:
@@ -172,28 +172,28 @@ def free_port() -> int:
 
 
 def main(words: list[Any]) -> None:
-    """Send the growing file ``words[0]`` with layouts from ``words[1]``.
+    """Send the growing recording ``words[0]``, and the layouts in the folder ``words[1]``, to rerun's viewer.
 
-    Any further words are the command of a user-defined viewer.
+    The remaining elements of ``words``, if any, are the command of a user-defined viewer.
     """
     os.nice(5)
     folder = Path(words[1])
     try:
         follow(Path(words[0]), folder, words[2:])
     except ViewerLostError as error:
-        with contextlib.suppress(OSError):  # The run that prints the message can already have stopped.
+        with contextlib.suppress(OSError):  # The parent process that prints the message can already have stopped.
             os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    os._exit(0)  # On a normal exit, rerun would wait for the viewer, which the user has closed.
+    os._exit(0)  # Skip rerun's exit handler, which would wait for a viewer that the user has closed.
 
 
 class LiveView:
-    """A viewer that shows a recording while the run writes the file; a child process sends the file to the viewer.
+    """Shows a recording in a viewer while the run writes the file. A child process sends the file to the viewer.
 
-    The run only writes the file of the recording. A viewer that is slow, hangs, dies, or cannot be opened costs the run
-    neither time nor memory. The child process stops with the run, but the viewer remains open. ``viewer`` is the
-    command of a user-defined viewer, with the placeholder ``{port}`` for the port.
+    The run itself only writes the recording's file. So a viewer that is slow, hangs, or fails to start does not slow
+    down the run. The child process stops with the run, but the viewer remains open. ``viewer`` is the command of a
+    user-defined viewer, with the placeholder ``{port}`` for the port.
     """
 
     def __init__(self, recorder: Recorder, viewer: Sequence[str] | None = None) -> None:
@@ -205,18 +205,18 @@ class LiveView:
         words = [sys.executable, "-P", "-m", module, str(recorder.path), str(self._folder), *(viewer or [])]
         self._process: subprocess.Popen[bytes] | None = None
         pipe, silent = subprocess.PIPE, subprocess.DEVNULL
-        with contextlib.suppress(OSError):  # A run continues without a live viewer.
+        with contextlib.suppress(OSError):  # Without a child process, the run continues without a live viewer.
             self._process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=silent, start_new_session=True)
             threading.Thread(target=_print_messages, args=(self._process,), daemon=True).start()
 
     def close(self) -> None:
-        """Close the standard input of the child process, which then sends the remaining chunks and stops."""
+        """Close the standard input of the child process. Then the child process sends the remaining data and stops."""
         if self._process is not None and self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
     def show(self) -> None:
-        """Update the layout of rerun's viewer for the data that has been recorded."""
+        """Update the layout of rerun's viewer, so that the viewer shows all data that has been recorded so far."""
         state = self._recorder.layout_state()
         before, self._shown = self._shown, (len(state[2]), len(state[3]))
         if self._shown != before:

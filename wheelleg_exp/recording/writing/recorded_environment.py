@@ -31,7 +31,8 @@ ROBOT = "robot"
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
 
-    The values of ``given`` (run id, task, checkpoint) override the environment's properties of the same name.
+    The entries of ``given`` (run id, task, checkpoint) override entries of equal name that are computed from the
+    environment.
     """
     found: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -67,13 +68,13 @@ def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
 
 
 def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
-    """Yield the terms of each manager in the manager's order, with their weights and widths."""
+    """Yield the names, weights, and widths of the terms of each manager, in the manager's order."""
     observations, actions = env.observation_manager, env.action_manager
     for group, terms in observations.active_terms.items():
         widths = [math.prod(shape) for shape in observations.group_obs_term_dim[group]]
         yield paths.data("observations", group), [rr.AnyValues(terms=terms, widths=widths)]
     rewards = env.reward_manager.active_terms
-    # Record the configured reward weights, because curricula change the current reward weights.
+    # Record the reward weights of the config, because curricula change the weights during a training.
     weights = [float(env.cfg["rewards"][name]["weight"]) for name in rewards]
     ends = env.termination_manager.active_terms
     over = [int(bool(env.termination_manager.get_term_cfg(name).fields.get("time_out", False))) for name in ends]
@@ -107,11 +108,10 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
 
 
 MEGABYTE = 1_000_000
-# The measured numbers of bytes of a chunk's metadata with its index entry, of a row's three times, of a transform, and
-# of a number.
+# The measured sizes in bytes: metadata and index entry of a data chunk, three times of a row, transform, number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 
-# The lengths of arrows are proportional to the robot's height, so that the arrows are readable for a robot of any size.
+# Arrow lengths are proportional to the robot's height, so that arrows are visible for robots of any size.
 _HEIGHTS_PER_WEIGHT = 0.6
 _HEIGHTS_PER_SPEED = 2.0
 _LIFT = 0.45
@@ -124,10 +124,10 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 
 
 class RecordedEnvironment:
-    """One recorded environment; ``place`` is its position in the row of environments in the 3D view.
+    """One recorded environment. ``place`` is its index in the row of environments in the viewer's 3D view.
 
-    Poses are relative to the environment's origin at construction, so that the robot starts at the centre of the 3D
-    view. ``stamps`` are the times of the buffered frames.
+    Recorded poses are relative to the environment's origin at construction, so that the robot starts at the centre of
+    the 3D view. ``stamps`` contains the times of the buffered frames.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -146,7 +146,7 @@ class RecordedEnvironment:
         self.frames = Frames(recorded_frames.environment_channels(env, env_id, paths, self.episodes))
         self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
-        # Read every channel once, so that a wrong width raises an error at construction and not during a control step.
+        # Read every channel once, so that a wrong width raises an error at construction instead of during a rollout.
         self.frames.append()
         self.frames.clear()
         self._draw(env)
@@ -167,10 +167,9 @@ class RecordedEnvironment:
         )
 
     def frame_bytes(self, rows_together: int) -> float:
-        """Return an upper estimate of the bytes of a frame; ``rows`` frames are written at a time."""
+        """Return an upper estimate of a frame's bytes in the file; ``rows_together`` frames are written together."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # The bytes of the three angles, the norms and arrows of contact forces, and the two velocities are added,
-        # because these drawn entities have no channel.
+        # The angles, the norms and arrows of contact forces, and the velocity arrows are entities without a channel.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
@@ -178,7 +177,7 @@ class RecordedEnvironment:
         return content + _CHUNK * entities / rows_together
 
     def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
-        """Record the environment's state after a control step; ``ends`` is true if the episode ended with this step."""
+        """Add the environment's state after a control step to the buffer. ``ends`` is true if the episode ended."""
         self.episodes.advance(stamp.step, episode_step)
         self.sample.steps.append(stamp.step)
         self.sample.took(ends=ends)
@@ -207,7 +206,7 @@ class RecordedEnvironment:
             yield self.paths.overlay(*parts), [rr.Arrows3D.from_fields(colors=[shade], radii=[radius])]
 
     def surroundings(self) -> StaticEntities:
-        """Yield the ground and all other geoms of the MuJoCo world body, relative to this environment's origin."""
+        """Yield the ground and all other geoms of MuJoCo's world body, relative to the environment's origin."""
         if self._ground is not None:
             yield GROUND, [self._ground.mesh(_LIGHT, _DARK)]
         drawn, _ = body_geoms(self._model, 0)
@@ -257,8 +256,8 @@ class RecordedEnvironment:
         place = self.paths.overlay("colliders", self._model.body(body).name or f"body_{body}")
         for geom in colliders:
             if archetypes := shape(self._model, geom):
-                # A collider moves with its MuJoCo body. Its entity path is not below the body's path, so that one click
-                # hides all colliders.
+                # A collision shape moves with its MuJoCo body.
+                # All collision shapes are below one entity path, so that one click in the viewer hides all of them.
                 shown = [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
                 yield f"{place}/{join(geom_name(self._model, geom))}", shown
 
@@ -279,9 +278,9 @@ class RecordedEnvironment:
 
 
 def series(names: Any, first: int = 0) -> Any:
-    """Return the names and colours of the lines of a plot.
+    """Return the rerun archetype with the names and colours of the lines in a plot.
 
-    Commands and targets have paler colours than measured values.
+    The colours of commands and targets are paler than the colours of measured values.
     """
     shades = [np.array(_PALETTE[(first + i) % len(_PALETTE)]) for i in range(len(names))]
     for i, name in enumerate(names):

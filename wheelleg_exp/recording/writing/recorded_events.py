@@ -1,7 +1,8 @@
 """Data that is recorded between frames: ends of episodes, interval events, messages, and training scalars.
 
-A rerun chunk of one row has about 1.5 kB of metadata, so the training scalars of several iterations are written
-together. The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all of them.
+A rerun data chunk of one row has about 1.5 kB of metadata, so the training scalars of several iterations are written
+together. So if a training is killed, the recording lacks the last training scalars. ``iterations.jsonl`` contains all
+of them.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ Columns = tuple[str, list[Stamp], Any]
 class EventLog:
     """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events fire after a control step is recorded, so the recorder reads interval events one control step later,
-    or between two control steps.
+    Interval events of a control step fire after the step is recorded, so the recorder logs interval events at the next
+    control step or between two control steps.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -39,9 +40,9 @@ class EventLog:
         self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
 
     def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
-        """Log the ends of episodes at a recorded control step.
+        """Log which episodes ended at a recorded control step, and why.
 
-        The interval events of this control step are logged later.
+        The method ``look_back`` logs the interval events of the control step later.
         """
         manager = self._env.termination_manager
         for env_id, paths in envs:
@@ -54,24 +55,24 @@ class EventLog:
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Log the interval events that followed the last recorded control step, if its number is ``step``."""
+        """Log the interval events after the last recorded control step, if this was control step ``step``."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # An event timer that all environments share has a single flag.
+                # If all environments share an event timer, there is one flag for all environments.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
 
     def say(self, text: str, level: str, stamp: Stamp) -> None:
-        """Log a message about the recording."""
+        """Add a message about the recording itself to the log."""
         self._lines[layout.join(layout.LOG, RECORDING)].append((stamp, text, level))
 
     def pieces(self) -> Iterator[Columns]:
-        """Yield each log entry once, as columns of rerun entities."""
+        """Yield the new log entries as columns of rerun entities, and clear the buffer."""
         for entity, entries in self._lines.items():
             stamps, texts, levels = map(list, zip(*entries, strict=True))
             yield entity, stamps, rr.TextLog.columns(text=texts, level=levels)
@@ -82,9 +83,9 @@ class EventLog:
 
 
 class TrainingScalars:
-    """The training scalars that are not yet written to the recording.
+    """A buffer of the training scalars that are not yet written to the recording.
 
-    ``keys`` are all scalar keys in order of first occurrence.
+    ``keys`` contains all scalar keys in the order of their first occurrence.
     """
 
     def __init__(self, keys: Sequence[str] = ()) -> None:
@@ -93,7 +94,7 @@ class TrainingScalars:
         self._iterations = 0
 
     def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
-        """Add the training scalars of an iteration, and return whether one of the scalar keys is new."""
+        """Add the training scalars of an iteration. Return whether the iteration has a new scalar."""
         new = [key for key in values if key not in self.keys]
         self.keys += new
         for key, value in values.items():

@@ -1,4 +1,4 @@
-"""Read the numbers of one frame from the environment's buffers, and buffer frames until they are written."""
+"""Read the numbers of a recorded frame from the environment, and buffer frames until they are written to the file."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 class Channel:
     """One row of numbers in each frame: its name, the names of the numbers, and a function that reads the row.
 
-    ``entities`` is one rerun entity for the whole row, or one rerun entity for each number, or empty if the row is only
-    used for drawing.
+    ``entities`` contains one rerun entity for the whole row or one rerun entity per number. ``entities`` is empty if
+    the row is only used to draw shapes.
     """
 
     key: str
@@ -40,9 +40,9 @@ class Channel:
 
 
 def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """Return the channels of one environment's robot and managers.
+    """Return the recorded quantities (channels) of one environment's robot and managers.
 
-    Body poses have no channel, because they are computed from ``qpos`` when the frames are written.
+    Body poses are not channels, because body poses are computed from ``qpos`` when the frames are written.
     """
     parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
     channels = [channel for part in parts for channel in part(env, env_id, paths)]
@@ -57,12 +57,12 @@ def velocity_command(env: ManagerBasedRLEnv) -> str | None:
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
-    """Return a channel whose numbers all belong to one rerun entity."""
+    """Return a channel that stores all its numbers in one rerun entity."""
     return Channel(key, tuple(names), read, (entity,))
 
 
 def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a function that reads one environment's values from a tensor as one row."""
+    """Return a function that reads one environment's row of a tensor as a flat array."""
     return lambda: host_copy(read()[env_id]).ravel()
 
 
@@ -100,7 +100,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
         term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
-            # Each number of a velocity command has its own entity, so that it can be plotted with the measured value.
+            # Each component of a command has its own entity, so that a plot can show it with the measured value.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
@@ -150,7 +150,7 @@ class Stamp:
 
 
 class Frames:
-    """The frames of one environment since the last flush, read from ``channels`` in their order."""
+    """A buffer of one environment's frames since the last flush. Each frame contains the numbers of ``channels``."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.channels = list(channels)
@@ -160,7 +160,7 @@ class Frames:
         self.count = 0
 
     def append(self) -> None:
-        """Read every channel into a new row of the buffer."""
+        """Read all channels, and add the numbers as a new frame to the buffer."""
         if self.count == len(self._rows):
             self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
         row = self._rows[self.count]
@@ -169,7 +169,7 @@ class Frames:
         self.count += 1
 
     def blocks(self) -> dict[str, Array]:
-        """Return the buffered rows (n, width) of each channel by the channel's key."""
+        """Return the buffered rows (n, width) of each channel by the key of the channel."""
         rows = self._rows[: self.count]
         return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
 
@@ -179,20 +179,20 @@ class Frames:
 
 
 class Episodes:
-    """A counter of recorded episodes. A row that does not continue the previous row starts a new episode."""
+    """A counter of recorded episodes. A recorded row that does not continue the previous row starts a new episode."""
 
     def __init__(self) -> None:
         self.number = -1
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Count a recorded row, given its control step and its step within the episode, counted from 1."""
+        """Count a recorded row with the given control step and the given step within the episode, from 1."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step
 
     def restore(self, number: int, step: int, episode_step: int) -> None:
-        """Resume the count of episodes after a row that an earlier process recorded."""
+        """Continue the count of episodes after the last row that an earlier process recorded."""
         self.number, self._step, self._episode_step = number, step, episode_step
 
 
@@ -224,8 +224,8 @@ def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
     manager, found = env.observation_manager, []
     for group, terms in manager.active_terms.items():
         for term, shape in zip(terms, manager.group_obs_term_dim[group], strict=True):
-            if len(shape) <= 2:  # Images are not recorded as numbers.
-                # The first of two axes is the observation history.
+            if len(shape) <= 2:  # Observations that are images are not recorded as numbers.
+                # The first axis of a two-dimensional observation is the history.
                 histories = [f"@{h}" for h in range(shape[0])] if len(shape) == 2 else [""]
                 names = [f"{term}[{i}]{history}" for history in histories for i in range(shape[-1])]
                 read, key = _observation(env, env_id, group, term, len(names)), ("observations", group, term)
@@ -247,7 +247,7 @@ def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, wid
 
 
 def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    # The row contains the weighted value of each reward term per second, and the total reward per second.
+    # Record the weighted value of each reward term per second, and the total reward per second.
     manager, names = env.reward_manager, env.reward_manager.active_terms
     places = tuple(paths.data("rewards", name) for name in names)
     terms = Channel("rewards", tuple(names), lambda: host_copy(manager.step_reward[:, env_id]), places)

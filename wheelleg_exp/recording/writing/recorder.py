@@ -1,4 +1,4 @@
-"""Record chosen environments into one rerun file, without changing them."""
+"""Record selected environments to one rerun file, without an effect on the simulation."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from wheelleg_exp.recording.writing.recording_file import RecordingFile
 from wheelleg_exp.recording.writing.resume_recording import EarlierRecording
 from wheelleg_exp.state.tensor_trees import host_copy
 
-# At least 16 frames are written together, because each rerun chunk has about 1.5 kB of metadata.
+# At least 16 frames are written together, because each data chunk in the file has about 1.5 kB of metadata.
 ROWS_TOGETHER = 16
 _US = 1e6
 _FACE, _CELL, _TEXTS = 150, 40, 2 * recorded_environment.MEGABYTE
 
 
 class Recorder:
-    """A writer of the motion, numbers, and messages of chosen environments to a rerun file.
+    """Writes the motion, numbers, and messages of selected environments to a rerun file.
 
-    A recorder draws no random number and changes no environment state, so a rollout is bitwise identical with and
-    without a recorder. Append ``capture`` to ``env.observers``. Frames remain in memory until ``flush`` writes them to
-    the file.
+    A recorder draws no random numbers and changes no environment state, so rollouts are bitwise equal with and without
+    a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes the
+    frames to the file.
 
     The timelines are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the step duration) and,
     if a training iteration is given, ``iteration``.
@@ -90,16 +90,16 @@ class Recorder:
             raise
 
     def frames_within(self, megabytes: float) -> int:
-        """Return a number of frames that is certain to fit into a file of ``size`` MB."""
+        """Return a number of frames that certainly fits into a file of ``megabytes`` MB."""
         return max(int((megabytes * recorded_environment.MEGABYTE - self._static_bytes()) / self._frame_bytes()), 0)
 
     def megabytes(self, frames: int) -> float:
-        """Return a file size in MB, rounded up to a tenth, that suffices for the given number of frames."""
+        """Return a file size in MB, rounded up to a tenth, that is large enough for the given number of frames."""
         room = frames * self._frame_bytes() + self._static_bytes()
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def _static_bytes(self) -> float:
-        # This is an upper estimate of the bytes of all shapes, texts, and names.
+        # Estimate an upper bound of the bytes of all shapes, texts, and names.
         model, environments = self._env.scene.model, len(self._environments)
         return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
@@ -107,20 +107,22 @@ class Recorder:
         return sum(recorded.frame_bytes(ROWS_TOGETHER) for recorded in self._environments)
 
     def start(self, iteration: int | None = None, steps: int | None = None, *, last_words: str = "") -> None:
-        """Start a segment, during which ``capture`` records every chosen environment.
+        """Start a segment: from now on, ``capture`` records every selected environment.
 
         After ``steps`` frames, the segment stops and logs the message ``last_words``. None means unlimited.
-        ``iteration`` is the training iteration of the frames; assign the attribute ``iteration`` to change it later.
+        ``iteration`` is the training iteration of the frames. Assign the attribute ``iteration`` to change the
+        iteration later.
         """
         self.iteration, self.captured = iteration, 0
         self._limit, self._last_words = -1 if steps is None else steps, last_words
         self._active = steps is None or steps > 0
 
     def sample(self, due: int, enough: int, most: int) -> None:
-        """Start or resume a sample of each environment, during which ``capture`` records complete episodes.
+        """Start or resume a sample of each environment, a sequence of complete episodes that ``capture`` records.
 
-        Episodes of the sample start after the control step ``due``. After ``enough`` frames of an environment, the
-        sample includes no further episode; 0 records nothing. After ``most`` frames, the current episode is truncated.
+        Episodes of the sample start after the control step ``due``. After ``enough`` frames of an environment, no
+        further episode is recorded. The value 0 records nothing. After ``most`` frames, the current episode is
+        truncated.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:
@@ -130,7 +132,7 @@ class Recorder:
             recorded.sample.begin(enough, most, taken=taken, is_in_episode=goes_on)
 
     def frames_until(self, step: int) -> int:
-        """Return the number of frames recorded up to a control step, in the environment with the most frames."""
+        """Return the largest number of frames that any environment recorded up to a control step."""
         return max(bisect_right(recorded.sample.steps, step) for recorded in self._environments)
 
     def stop(self) -> None:
@@ -139,7 +141,7 @@ class Recorder:
         self.flush()
 
     def capture(self) -> None:
-        """Record the environments' state after a control step; do nothing outside of segments and samples."""
+        """Record the environments' state after a control step, but only during a segment or a sample."""
         step = self._env.common_step_counter
         self._events.look_back(step - 1)
         lengths = host_copy(self._env.episode_length_buf)
@@ -163,16 +165,16 @@ class Recorder:
             self._capturing = False
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
-        """Record the scalars of a training iteration; the scalar ``a/b`` becomes the rerun entity ``training/a/b``."""
+        """Record the scalars of a training iteration. The scalar ``a/b`` becomes the rerun entity ``training/a/b``."""
         if self._scalars.add(self._stamp(self._env.common_step_counter, iteration), values):
             self._stale = True
 
     def say(self, text: str, level: str = "WARN") -> None:
-        """Log a message about the recording."""
+        """Add a message about the recording itself to the recorded log."""
         self._events.say(text, level, self._stamp(self._env.common_step_counter))
 
     def document(self, name: str, text: str) -> None:
-        """Write a markdown text to ``documents/<name>``; a later text of the same name replaces an earlier one."""
+        """Record a markdown text as ``documents/<name>``. The text replaces an earlier text with the same name."""
         archetype = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._file.static(layout.join(layout.DOCUMENTS, name), archetype)
         if name not in self._documents:
@@ -180,11 +182,11 @@ class Recorder:
             self._stale = True
 
     def has_document(self, name: str) -> bool:
-        """Return whether the recording, or the recording that this one resumes, contains a text with the name."""
+        """Return whether the recording, or the earlier recording that is resumed, contains a text with the name."""
         return name in self._documents
 
     def flush(self, *, everything: bool = True) -> None:
-        """Write the buffered data to the file; raise SimulationFailure if writing fails, for example on a full disk.
+        """Write the buffered data to the file. Raise SimulationFailure if writing fails, for example on a full disk.
 
         Without ``everything``, small amounts stay in memory: scalars of a few iterations, and a few frames.
         """
@@ -204,7 +206,7 @@ class Recorder:
         self._file.flush()
 
     def close(self) -> None:
-        """Write the buffered data and close the file; a second call does nothing."""
+        """Write the buffered data to the file and close the file. A second call does nothing."""
         self._active = False
         if self._file.is_open:
             try:
@@ -218,7 +220,7 @@ class Recorder:
         return self._file.unfinished
 
     def blueprint(self) -> Any:
-        """Return the layout of rerun's viewer for the data that has been recorded."""
+        """Return a layout of rerun's viewer that shows all data that has been recorded so far."""
         layouts, purpose, documents, training = self.layout_state()
         return blueprint(layouts, purpose, documents=documents, training=training)
 
@@ -270,7 +272,7 @@ class Recorder:
 
 
 def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
-    """Return the rerun timelines of frames; the timeline ``iteration`` exists only if every frame has an iteration."""
+    """Return the rerun timelines of frames. The timeline ``iteration`` exists only if all frames have an iteration."""
     steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
     sim_times = rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]"))
     columns = [rr.TimeColumn(layout.STEP, sequence=steps), sim_times]

@@ -1,4 +1,4 @@
-"""Write the file of a growing recording."""
+"""Write a recording's file, which grows during a run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, e
 
 
 class RecordingFile:
-    """A growing recording. Chunks remain in memory until ``flush`` writes them to ``path``.
+    """A growing recording. Added data stays in memory until ``flush`` writes the data to the file ``path``.
 
-    With ``aside``, the recording has a temporary file name until ``take_place`` is called. ``unfinished`` is the reason
-    why the closed file has no index; None if the file has an index or is open. The constructor raises RunDirectoryError
-    if the path exists. Methods raise SimulationFailure if writing fails.
+    If ``aside`` is true, the file has a temporary name until ``take_place`` is called. ``unfinished`` is the reason why
+    the closed file has no index; None if the file has an index or is open. The constructor raises RunDirectoryError if
+    the file exists. Methods raise SimulationFailure if writing fails.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
@@ -35,7 +35,7 @@ class RecordingFile:
         self._chunks: list[Chunk] = []
         self._blueprint: Any = None
         self._written = temporary_name(path) if aside else path
-        # An existing file is an error, so that two recorders never share a file.
+        # Raise an error if the file exists, so that two recorders never write to the same file.
         with for_people(self._written):
             self._written.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -49,7 +49,7 @@ class RecordingFile:
         self.flush()
 
     def static(self, entity: str, *archetypes: Any) -> None:
-        """Add static archetypes of a rerun entity."""
+        """Add static data (rerun archetypes) of a rerun entity."""
         columns = {}
         for archetype in archetypes:
             batches = archetype.as_component_batches() if hasattr(archetype, "as_component_batches") else archetype
@@ -58,11 +58,11 @@ class RecordingFile:
         self._chunks.append(Chunk.from_columns(entity, [], columns.values()))
 
     def property(self, name: str, values: dict[str, Any]) -> None:
-        """Set a property of the recording."""
+        """Set a named property of the recording, a dictionary of values."""
         self.static(join(PROPERTIES, name), rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:
-        """Add columns of rerun components with their timelines."""
+        """Add rows of a rerun entity: columns of rerun components with their timelines."""
         self._chunks.append(Chunk.from_columns(entity, times, columns))
 
     def chunks(self, chunks: Iterable[Chunk]) -> None:
@@ -123,7 +123,7 @@ class RecordingFile:
 
     def _close(self) -> None:
         self.is_open = False
-        with self._guarded():  # Some file systems report a full disk only when a file is closed.
+        with self._guarded():  # Some file systems report a full disk only at the close of a file.
             os.close(self._descriptor)
 
     @contextmanager

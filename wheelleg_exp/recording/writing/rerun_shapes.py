@@ -18,9 +18,9 @@ from wheelleg_exp.sim.robot import Robot
 
 
 def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
-    """Return qpos (nq,) with every joint at its default position and the base at the MuJoCo model's pose.
+    """Return qpos (nq,) with every joint at its default position and the base at its pose in the MuJoCo model.
 
-    The robot's height, which scales all arrows, must not depend on the pose at the start of a recording.
+    Arrow lengths are proportional to the robot's height, so the height is computed at the default pose.
     """
     qpos: Array = model.qpos0.copy()
     for joint, position in zip(robot.joint_names, robot.layout.default_joint_pos.flatten().tolist(), strict=True):
@@ -29,7 +29,7 @@ def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
 
 
 def weight(model: mujoco.MjModel, root: int) -> float:
-    """Return the weight of a MuJoCo body and all its descendants, N; 1 N without mass or gravity."""
+    """Return the weight of a MuJoCo body and all its descendants, N; 1 N if mass or gravity is 0."""
     weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
     return weight if weight > 0 else 1.0
 
@@ -53,7 +53,7 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 
 def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
-    """Return rerun's archetypes of a MuJoCo geom in the frame of its body; empty for planes and signed distance fields.
+    """Return rerun's archetypes of a MuJoCo geom in its body's frame; empty for a plane or signed distance field.
 
     MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a rerun capsule
     is the centre of one cap, at half the capsule's length along the geom's z axis.
@@ -115,7 +115,7 @@ Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the rerun columns of every channel that has entities."""
+    """Yield the buffered numbers of all channels with an entity, as rerun columns."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -126,19 +126,19 @@ def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
 
 
 def vector_columns(rows: Array) -> Any:
-    """Return rows (n, width) as a rerun column of vectors."""
+    """Return rows (n, width) as a rerun column that contains one vector per row."""
     flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
 
 
 def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-    """Yield the rerun columns of the base's roll, pitch, and yaw, rad."""
+    """Yield the base's roll, pitch, and yaw, rad, as rerun columns."""
     for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
         yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the pose columns of MuJoCo bodies; ``bodies`` maps the body's model id to the rerun entity."""
+    """Yield the poses of MuJoCo bodies as rerun columns. ``bodies`` maps a body's model id to its rerun entity."""
     position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
         yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
@@ -146,7 +146,7 @@ def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
 
 @dataclass(frozen=True)
 class Contacts:
-    """The contact forces of one contact sensor, as numbers and as arrows at the bodies in contact.
+    """Draws the contact forces of one contact sensor, as numbers and as arrows at the bodies in contact.
 
     ``bodies`` are the model ids of the sensed bodies, and ``scale`` is the arrow length in m/N.
     """
@@ -156,7 +156,7 @@ class Contacts:
     scale: float
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield the force norms, N, and the force arrows, which start at the origin of each body in contact."""
+        """Yield the norms of the contact forces, N, and force arrows that start at the bodies' origins."""
         force = blocks[f"contacts/{self.sensor}"].reshape(-1, len(self.bodies), 3)
         norm = np.linalg.norm(force, axis=2)
         yield paths.data("contacts", self.sensor), vector_columns(norm)
@@ -168,7 +168,7 @@ class Contacts:
 
 @dataclass(frozen=True)
 class VelocityArrows:
-    """Arrows above the base for the commanded and the actual planar velocity in the base's yaw frame.
+    """Draws arrows above the base for the commanded and the actual planar velocity.
 
     ``command`` is the channel of the velocity command, ``root`` the model id of the base, ``lift`` the height of the
     arrows above the base in m, and ``scale`` the arrow length in m per m/s.
@@ -184,7 +184,7 @@ class VelocityArrows:
         origin, yaw = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift], blocks["orientation"][:, 2]
         c, s = np.cos(yaw), np.sin(yaw)
         for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
-            # Rotate the planar velocity from the base's yaw frame to the axes of the world.
+            # Rotate the planar velocity from the base's yaw frame to the world frame.
             x, y = velocity[:, 0], velocity[:, 1]
             vectors = self.scale * np.stack((c * x - s * y, s * x + c * y, np.zeros_like(x)), axis=1)
             yield paths.overlay("velocity", name), rr.Arrows3D.columns(origins=origin, vectors=vectors)
@@ -192,10 +192,11 @@ class VelocityArrows:
 
 @dataclass(frozen=True)
 class Ground:
-    """A checkered ground patch that follows the robot in steps of whole tiles, so that the ground looks infinite.
+    """Draws a checkered ground patch that follows the robot in steps of whole tiles, so that the ground looks infinite.
 
     ``root`` is the model id of the base. ``tile`` is the edge length of a tile in m. ``tiles`` is the number of tiles
-    along an edge of the patch, which is even. ``origin`` is the point of the plane below the environment's origin in m.
+    along an edge of the patch, and must be even. ``origin`` is the point of the ground plane below the environment's
+    origin, m.
     """
 
     root: int
@@ -204,7 +205,7 @@ class Ground:
     origin: Array
 
     def mesh(self, light: Sequence[int], dark: Sequence[int]) -> Any:
-        """Return the mesh of the ground patch around the patch's centre."""
+        """Return the mesh of the ground patch, with the origin at the patch's centre."""
         i, j = (axis.ravel() for axis in np.meshgrid(np.arange(self.tiles), np.arange(self.tiles)))
         corner = np.stack((i, j), axis=1) - self.tiles / 2
         square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -217,7 +218,7 @@ class Ground:
         return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, **drawn)
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield the ground patch's position near the base, a multiple of two tiles so that colours do not flip."""
+        """Yield the position of the ground patch near the base, a multiple of two tiles so that colours do not flip."""
         del paths
         step = 2 * self.tile
         snapped = step * np.round(np.nan_to_num(blocks["xpos"][:, self.root, :2]) / step)

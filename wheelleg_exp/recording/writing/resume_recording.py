@@ -1,4 +1,4 @@
-"""Resume an earlier recording, or rename an earlier recording that cannot be resumed."""
+"""Continue an earlier recording of a run, or rename an earlier recording that cannot be continued."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _SCALARS = "Scalars:scalars"
 
 
 class EarlierRecording:
-    """The rows of an earlier recording up to a control step, for a recorder that continues the recording.
+    """Reads the rows of an earlier recording up to a control step, for a recorder that continues the recording.
 
     An incomplete last message of the earlier recording is omitted. The file does not change. ``last`` contains the last
-    control step and value of each rerun entity that counts episodes or the control steps of an episode. ``steps``
-    contains all control steps of these entities. The constructor raises RunDirectoryError for a damaged file and for
-    another program's file.
+    control step and value of each episode counter and each counter of an episode's control steps. ``steps`` contains
+    all recorded control steps of these counters. The constructor raises RunDirectoryError if the file is damaged or was
+    written by another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:
@@ -49,10 +49,10 @@ class EarlierRecording:
             for entity, piece in ((entity, piece) for entity, pieces in contents.pieces.items() for piece in pieces):
                 self.chunks += (self._static if piece.is_static else self._rows)(entity, piece.batch)
         except (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError) as error:
-            raise self._problem("another program wrote the rows of the file", "an undamaged recording") from error
+            raise self._problem("another program wrote the recording's rows", "an undamaged recording") from error
         if self.started is None:
             expected = "a recording in the current layout of this program, or no file at this path"
-            raise self._problem("another program or layout wrote the file", expected)
+            raise self._problem("another program or program version wrote the file", expected)
 
     def _problem(self, reason: str, expected: str) -> RunDirectoryError:
         return RunDirectoryError(f"cannot resume the recording '{self._path}': {reason}", expected=expected)
@@ -91,10 +91,10 @@ class EarlierRecording:
 
 
 def move_aside(path: Path, *, go_on: bool) -> str | None:
-    """Rename an earlier recording unless it can be resumed, and remove the files of an interrupted resume.
+    """Rename an earlier recording that cannot be continued, and remove the files of an interrupted resume.
 
-    Return a sentence for the user if the earlier recording is missing or was renamed; otherwise None. A run that was
-    not resumed has no earlier recording.
+    Return a message for the user if the earlier recording is missing or was renamed, or else None. For a run that was
+    not resumed, the result is None.
     """
     if not go_on:
         return None
