@@ -104,6 +104,7 @@ class Values:
         except LookupError:
             self._find_settings()
             now = self._present
+        # Identity is enough here: a setting that was replaced by an equal object only costs one slow comparison.
         if self._present is before and all(map(operator.is_, now, before)):
             return
         changed = zip(before, now, strict=True) if self._present is before else ()
@@ -126,6 +127,7 @@ class Values:
             if is_plain(value) or isinstance(value, tuple):
                 self._settings.append(slot)
                 places[id(slot.container), slot.path[-1]] = slot.container, slot.path[-1]
+                # A replaced parent container hides the slot's change, so watch every container on the path too.
                 places |= {(id(parent), key): (parent, key) for parent, key, _ in slot.containers}
         self._places = list(places.values())
         self._present = [container[key] for container, key in self._places]
@@ -137,6 +139,7 @@ class Values:
     def move_rebound(self, found: Sequence[Slot]) -> None:
         """For each tensor that a part of the step rebinds, provide static memory that all recordings share."""
         moved = []
+        # Tensors made in inference mode cannot be written in place later, outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
             for slot in (slot for slot in found if slot.id in self.rebound):
                 value, static = slot.get(), self._statics.get(slot.id)
@@ -181,6 +184,7 @@ class TouchedMemory(TorchDispatchMode):
     def note(self, tree: Any) -> None:
         """Record the memory addresses of all tensors in a nested structure."""
         leaves = (leaf for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
+        # Two views of one tensor share a storage, so the storage identifies the memory.
         self._memory |= {leaf.untyped_storage().data_ptr() for leaf in leaves}
 
     def has(self, tensor: torch.Tensor) -> bool:

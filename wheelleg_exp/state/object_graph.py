@@ -115,6 +115,7 @@ def parts(name: str, node: Any) -> Iterator[Named]:
     elif isinstance(node, MethodType):
         found = (node.__self__,)
     elif isinstance(node, FunctionType):
+        # A closure can hold tensors that no attribute names.
         found = (cell.cell_contents for cell in node.__closure__ or ())
     else:
         yield from ((f"{name}.{key}", value) for key, value in attributes_in_graphs(node))
