@@ -1,6 +1,6 @@
 """Limits on the size, the references, and the memory of robot files.
 
-A file that exceeds a limit is assumed not to be a robot.
+The converter refuses a file that exceeds a limit.
 
 `bounded_memory` also limits the memory of a whole conversion, because a damaged file can declare arrays of any size.
 """
@@ -60,8 +60,8 @@ def require_plain_file(
 ) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    ``expected`` describes the file in the error message, ``key`` is the prim or element that names it, and ``where`` is
-    the file that contains this prim or element.
+    ``expected`` describes the file in the error message, ``key`` is the prim or element that names the file, and
+    ``where`` is the file that contains this prim or element.
     """
     problem = _problem_of(path, largest)
     if problem:

@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # open elements, each with the parts of its text
+    stack: list[tuple[Element, list[str]]] = []  # the XML elements that are still open, with their text
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -116,7 +116,7 @@ class Document:
         return value
 
     def required(self, element: Element, name: str, became: str) -> str:
-        """Return an XML attribute's text like ``text``; a missing or empty attribute raises AssetError."""
+        """Return an XML attribute's text; a missing or empty attribute raises AssetError."""
         value = self.text(element, name, became)
         if not value:
             self.fail(element, f"<{element.tag}> has no '{name}'", f'{name}="..."')
@@ -244,7 +244,7 @@ def _visit(document: Document, element: Element) -> None:
 
 
 def summary(element: Element) -> str:
-    """Return a summary of an XML element on one line."""
+    """Return a summary of an XML element, in one line of text."""
     found = []
     for item in element.walk():
         found += [f"{item.tag} {name}={value}" for name, value in item.attributes.items()]

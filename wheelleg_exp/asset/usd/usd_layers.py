@@ -105,7 +105,7 @@ class Missing:
 
     @property
     def prim(self) -> Sdf.Path:
-        """The first prim that names the missing layer or prim."""
+        """The first prim that refers to the missing layer or prim."""
         return self.prims[0]
 
 
@@ -165,8 +165,8 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return a text about the collider that lacks the shapes from ``holder``'s missing layer, or an empty string."""
-    # The nearest ancestor that is a collider or a visual determines whether physics is missing.
+    """Return a text about the collider whose shapes are in ``holder``'s missing layer, or an empty string."""
+    # The nearest ancestor that is a collider or a visual determines whether a missing layer contains physics.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):
