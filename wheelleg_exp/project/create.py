@@ -164,7 +164,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
 def _require_free(path: Path) -> None:
     if os.path.lexists(path):
         raise NameTaken(
-            "the project's folder already exists, and no file is overwritten", key=str(path), expected="a new name"
+            "the project folder exists already, and no file is overwritten", key=str(path), expected="a new name"
         )
 
 

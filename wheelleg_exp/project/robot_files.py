@@ -138,7 +138,7 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
 
 
 def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return the relative path of a mesh if the URDF uses this path for the mesh; None if the path must be rewritten."""
+    """Return a mesh's relative path if the URDF uses this path for the mesh; None if the path must change."""
     plain = Path(os.path.normpath(name))
     if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
         return None

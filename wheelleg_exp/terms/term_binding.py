@@ -21,7 +21,7 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# The modules of this package that a config can call: terms, noise, entities, actuators, and sensors.
+# The subpackages of this package that a config can call: terms, noise, entities, actuators, and sensors.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
