@@ -209,7 +209,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
 class EventPipe:
     """A sender of events from a job to the parent process. If the parent process has died, the events are dropped.
 
-    ``reached`` states whether the job has completed the requested work. In this case a stop is not an interruption.
+    If the job has completed the requested work, ``reached`` is true, and a stop request is not an interruption.
     """
 
     reached = False

@@ -16,8 +16,8 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
     """Convert an exception inside the block that would end the program to an error of ``kind``.
 
-    Examples are ``SystemExit``, and a ``KeyboardInterrupt`` that user-defined code raised. The error contains the
-    exception, and the file and line of its cause.
+    Examples are ``SystemExit``, and a ``KeyboardInterrupt`` that user-defined code raised. The raised error contains
+    the original exception, and the file and line of the code that raised it.
     """
     try:
         yield

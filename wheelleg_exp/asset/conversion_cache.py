@@ -108,8 +108,8 @@ def convert_cached(
     """Convert the robot file ``source``, or return the cached conversion if no source file has changed.
 
     The cache key is a hash of every USD layer or mesh in use, the options, the converter's code, and the versions of
-    its libraries. ``convert_cached`` replaces a damaged cache entry. Several processes can call ``convert_cached`` at
-    once. ``beside`` maps paths in the MJCF's folder to the files that are copied to these paths.
+    the converter's libraries. ``convert_cached`` replaces a damaged cache entry. Several processes can call
+    ``convert_cached`` at once. ``beside`` maps paths in the MJCF's folder to the files that are copied to these paths.
     """
     source, chosen = Path(source), dict(variants or {})
     sources = source_digest(source, chosen, beside)

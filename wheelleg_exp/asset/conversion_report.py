@@ -100,7 +100,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Mapped:
-    """A part of the robot file, and the MJCF part that the converter made from it."""
+    """An element of the robot file, and the MJCF element that the converter made from this element."""
 
     path: str
     name: str

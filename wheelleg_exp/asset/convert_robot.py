@@ -93,8 +93,8 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
     """Make the first link with mass the root, in place of massless links above it such as ROS's base_footprint.
 
-    Tasks measure a robot's height, velocity, and tilt at its root. No link moves: the massless links are welded to the
-    new root at their old poses.
+    Tasks measure a robot's height, velocity, and tilt at the robot's root link. No link moves: the massless links are
+    welded to the new root at their old poses.
     """
     root = next(robot.children(None), None)
     if root is None or root.inertial.mass or not root.floating or robot.keyframes or any(root.velocity):
@@ -142,7 +142,7 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
 
 
 def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjModel:
-    """Compile a robot's MJCF, compare the MuJoCo model with the description, and write the MJCF and its meshes."""
+    """Compile a robot's MJCF, compare the model with the robot description, and write the MJCF and the meshes."""
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(output) as folder:

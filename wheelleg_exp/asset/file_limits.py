@@ -91,7 +91,7 @@ _open: list[tuple[int, int]] = []  # limits before each conversion
 
 @contextmanager
 def bounded_memory(source: Path) -> Iterator[None]:
-    """On Linux, limit the process's memory to 8 GiB beyond its current memory.
+    """On Linux, limit the memory of this process to 8 GiB beyond the current memory.
 
     A damaged USD crate file of a few bytes can declare an array of two thousand million numbers, and the USD library
     allocates the array before it checks the file. The memory limit applies to all threads of the process.

@@ -201,7 +201,7 @@ class Part:
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
-        """Return the part with its inertia tensor about ``center``, by the parallel-axis theorem."""
+        """Return the part with the inertia tensor about the point ``center``, by the parallel-axis theorem."""
         return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
 
 
@@ -266,7 +266,7 @@ def balanced(moments: Vec3) -> Vec3:
 
 
 def cone(radius: float, half: float) -> Solid:
-    """Return the solid of a cone along z, its tip at ``half`` and its base at ``-half`` (m)."""
+    """Return the solid of a cone along z, with the tip at z = ``half`` and the base at z = ``-half`` (m)."""
     v, height = 2 / 3 * math.pi * radius * radius * half, 2 * half
     side = v * (3 / 20 * radius * radius + 3 / 80 * height * height)
     volume, moments = v, (side, side, v * 3 / 10 * radius * radius)

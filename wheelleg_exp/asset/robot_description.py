@@ -106,7 +106,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Dof:
-    """One degree of freedom (three for a ball) of a body in its parent, about ``axis`` through ``anchor``.
+    """One degree of freedom (three for a ball joint) of a body in its parent body, about ``axis`` through ``anchor``.
 
     Axis and anchor (m) are in the body's frame. ``range`` is in rad (m); None means no limits. ``position`` and
     ``velocity`` are the saved state of the joint. ``ref`` is the joint coordinate at which the body is at its ``pose``.
@@ -190,7 +190,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Site:
-    """A named frame on a body; ``extra`` has its shape, size, and colour."""
+    """A named frame on a body; ``extra`` contains the shape, size, and colour of the frame's marker."""
 
     name: str
     path: str
@@ -248,8 +248,8 @@ class Keyframe:
 class RobotDescription:
     """Everything that a simulator needs to know about a robot. ``bodies`` lists parents before their children.
 
-    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` have the
-    attributes of the MJCF elements with these names.
+    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` contain the
+    attributes of the MJCF elements ``option``, ``flag``, and ``compiler``.
     """
 
     name: str

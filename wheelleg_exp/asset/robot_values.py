@@ -1,4 +1,4 @@
-"""Numbers of a converted robot as plain JSON, so that a script can compare them with another robot file."""
+"""Collect the numbers of a converted robot as plain JSON, so that a script can compare two robot files."""
 
 from __future__ import annotations
 

@@ -235,7 +235,7 @@ def diagnose_file(source: Path) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, its start pose, and its drives. The config must be free of mistakes."""
+    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must be free of mistakes."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]

@@ -34,10 +34,10 @@ def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> t
 def armature_ratio(case: Case) -> Iterator[Finding]:
     """The armature of a joint is far larger than the inertia of the links that the joint moves.
 
-    A rotor behind a gear of ratio n acts at the joint as n² times its inertia. For legged robots, the rotor's inertia
-    at the joint is about the link's inertia, and rarely ten times the link's inertia. A robot with a larger armature
-    cannot be built: it is slow and stable, and its policies do not transfer. Source: MuJoCo documentation, XML
-    reference, joint/armature.
+    A rotor behind a gear of ratio n acts at the joint like an inertia of n² times the rotor's inertia. For legged
+    robots, the rotor's inertia at the joint is about the link's inertia, and rarely ten times the link's inertia. A
+    robot with a larger armature cannot be built: it is slow and stable, and its policies do not transfer. Source:
+    MuJoCo documentation, XML reference, joint/armature.
     """
     for group, joints in _groups(case).items():
         name, joint, _, ratio = _worst(joints, lambda j, _: j.armature / j.inertia if j.inertia > 0 else 0.0)
@@ -71,8 +71,8 @@ def wheel_friction(case: Case) -> float:
 def effort_against_traction(case: Case) -> Iterator[Finding]:
     """The effort limit of a wheel drive is many times the torque at which the wheel slips.
 
-    A wheel slips at the torque friction · load · radius. An effort limit far above this torque has no effect, and shows
-    that the motor does not fit the robot's weight. Source: Coulomb friction.
+    A wheel slips at the torque friction · load · radius. An effort limit far above the slip torque has no effect, and
+    shows that the motor does not fit the robot's weight. Source: Coulomb friction.
     """
     facts = case.facts
     for group, joints in _groups(case).items():

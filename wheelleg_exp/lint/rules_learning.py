@@ -28,8 +28,8 @@ def tracking_std(case: Case) -> Iterator[Finding]:
     """A tracking reward is so tolerant that a robot that ignores the command earns most of the reward.
 
     For commands uniform in ±V, a robot that stands still earns the share sqrt(pi)/2 · erf(V/std) · std/V of the reward.
-    Zero commands are excluded from this share. If all commands are zero, a robot that drifts with a wheel action of 1
-    must not earn the reward. Source: the integral of the reward's own formula.
+    The share excludes commands that are exactly zero. If all commands are zero, a robot that drifts with a wheel action
+    of 1 must not earn the reward. Source: the integral of the reward's own formula.
     """
     for term in tolerances.tracked(case):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
@@ -140,8 +140,8 @@ def falling_pays(case: Case) -> Iterator[Finding]:
     """The robot earns more if it falls than if it continues the episode.
 
     The value of continuing is the sum of all reward terms at their tolerances. The sum covers the episode or the
-    discount's horizon 1/(1 - gamma), whichever is shorter. If this value is below the reward for a failure, the policy
-    learns to fall at once. Source: the discounted return of PPO, Schulman et al. 2017.
+    discount's horizon 1/(1 - gamma), whichever is shorter. If the value of continuing is below the reward for a
+    failure, the policy learns to fall at once. Source: the discounted return of PPO, Schulman et al. 2017.
     """
     found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)

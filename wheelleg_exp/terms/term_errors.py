@@ -153,8 +153,7 @@ def has_target(value: Any) -> bool:
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
     """Convert an exception that a part of the scene raises in the body into an error at the config key ``path``.
 
-    ``has_worked`` says that the scene has already been built with this part. In this case the run failed and the config
-    is valid.
+    If the scene has already been built with this part, ``has_worked`` is true, and the error is a failure of the run.
     """
     try:
         yield
@@ -175,9 +174,9 @@ def failure(
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged. ``has_worked`` says
-    that an earlier call of the term succeeded. In this case the run failed and the config is valid. ``what`` is the
-    name of the failed code in the error message.
+    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged. If an earlier call of
+    the term succeeded, ``has_worked`` is true, and the error is a failure of the run. ``what`` is the name of the
+    failed code in the error message.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)

@@ -53,7 +53,7 @@ class Element:
         return "\n".join(lines)
 
     def depth(self) -> int:
-        """Return the number of element levels, from this element down to the deepest descendant."""
+        """Return the number of levels from this XML element down to the deepest descendant."""
         deepest, level = 0, [self]
         while level:
             deepest += 1

@@ -1,4 +1,4 @@
-"""Parse a URDF, check its numbers, and record which elements and attributes became part of the model.
+"""Parse a URDF, check the numbers, and record which elements and attributes became part of the model.
 
 XML with a document type is refused, because XML entities could grow without limit or read other
 files. The depth and the number of XML elements are limited.
@@ -38,7 +38,7 @@ class Element:
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child element with a tag; None without such a child."""
+        """Return the first child element with a tag; None if no child has the tag."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
@@ -105,7 +105,7 @@ class Document:
     ledger: Ledger = field(default_factory=Ledger)
 
     def fail(self, element: Element, message: str, expected: str | None = None) -> NoReturn:
-        """Raise an AssetError that names the XML element and its line."""
+        """Raise an AssetError that names an XML element and the element's line."""
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:

@@ -25,7 +25,7 @@ JOINT_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_JOINTS.split()}
 
 
 def with_body_extra(stage: Stage, body: desc.Body) -> desc.Body:
-    """Return a body with MuJoCo's own attributes of the body, its joints, and its geoms."""
+    """Return a body with attributes of MuJoCo's USD schemas for the body, the body's joints, and the body's geoms."""
     prim = stage.usd.GetPrimAtPath(body.path)
     found = mjc.attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
     dofs = tuple(_dof(stage, dof) for dof in body.dofs)
@@ -185,7 +185,7 @@ COMPILER = {  # reasons for omitting settings
 
 
 def with_options(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with the options and flags of the physics scene, and with its compiler settings applied."""
+    """Return the robot with the physics scene's options, flags, and compiler settings applied."""
     scene = find_scene(stage)
     if scene is None:
         return robot

@@ -21,7 +21,7 @@ from wheelleg_exp.errors import AssetError
 
 
 def open_layers(source: Path) -> list[Sdf.Layer]:
-    """Open a stage's layers, including those of all variants.
+    """Open all layers of a USD stage, including the layers of all variants.
 
     The layers stay open as long as the returned list exists.
     """
@@ -99,7 +99,7 @@ class Missing:
 
     @property
     def looks_only(self) -> bool:
-        """Whether the missing file contains only visuals, judging by its suffix or by the prims that name the file."""
+        """Whether a missing file contains only visuals, judged by the suffix or by the prims that name the file."""
         inside = (any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims)
         return bool(_NO_LAYER.search(self.name)) or all(inside)
 

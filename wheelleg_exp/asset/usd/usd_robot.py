@@ -119,7 +119,7 @@ def _shortest(values: Iterable[float], size: float) -> list[float]:
 
 
 def read_usd(source: Path, base: desc.BaseMode, variants: Mapping[str, str]) -> tuple[desc.RobotDescription, Report]:
-    """Read the robot of a USD file, and make its conversion report."""
+    """Read the robot of a USD file, and make the conversion report."""
     with library(source):
         stage = open_stage(source, variants)
         robot = describe(stage, base)

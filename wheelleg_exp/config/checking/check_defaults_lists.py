@@ -222,7 +222,7 @@ def _sets_null(file: MountedFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find values in a file that its parents overwrite, because ``_self_`` is not the last entry of the defaults list.
+    """Find values of a file that files of its defaults list overwrite, because ``_self_`` is not the list's last entry.
 
     The primary config is skipped.
     """

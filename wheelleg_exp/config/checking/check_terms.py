@@ -1,7 +1,7 @@
 """Check the terms and the references between sections of the config.
 
-A term must be selected, its target must exist and be allowed, and its parameters must have valid values. The command,
-action term, reward, or observation group that a parameter names must exist.
+A term must be selected, the term's target must exist and be allowed, and all parameters must have valid values. The
+command, action term, reward, or observation group that a parameter names must exist.
 """
 
 from __future__ import annotations

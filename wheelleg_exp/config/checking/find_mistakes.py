@@ -330,7 +330,7 @@ class _Search:
 def find_mistakes(
     overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()
 ) -> tuple[Composed | None, list[ConfigError]]:
-    """Compose and check a config. Return the config, or None if Hydra cannot compose it, and all mistakes.
+    """Compose and check a config. Return the config and all mistakes; the config is None if Hydra cannot compose it.
 
     If a wrong override or a broken file stops Hydra, the function drops the override or file and checks the remaining
     config. The result contains no mistakes that are only consequences of the dropped override or file.
@@ -344,7 +344,7 @@ def find_mistakes(
 
 
 def compose_valid(overrides: Sequence[str] = (), *, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose and check a config, and return it. Raise one ConfigError for all mistakes."""
+    """Compose a config, check the config, and return it. Raise one ConfigError for all mistakes."""
     composed, mistakes = find_mistakes(overrides, config_dirs=config_dirs)
     if mistakes:
         raise_all(mistakes)

@@ -76,7 +76,7 @@ Progress = Callable[[int, int], None]
 class SweepJob:
     """One job of a sweep.
 
-    ``overrides`` are the overrides with which ``wheelleg train`` runs this job alone; ``swept`` contains only the
+    ``overrides`` contains the overrides with which ``wheelleg train`` runs only this job; ``swept`` contains only the
     overrides that differ between jobs. ``digest`` is the SHA-256 of the composed config.
     """
 

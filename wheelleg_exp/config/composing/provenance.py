@@ -216,9 +216,10 @@ class Choice:
 class Mount:
     """A config group that is mounted at one key of the tree.
 
-    ``name`` is the group as an override names it, such as ``reward@env.rewards``. ``package`` is the key of the mounted
-    options; it is empty at the top of the tree. ``choices`` lists all selections in the order in which Hydra applies
-    them; each selection replaces the earlier ones, except a ``+`` override, which adds an option.
+    ``name`` is the group as an override names it, such as ``reward@env.rewards``. ``package`` is the config key of the
+    group's options; an empty key means the top of the config. ``choices`` lists all selections of options in the order
+    in which Hydra applies them. Each selection replaces all earlier selections, except a ``+`` override, which adds an
+    option.
     """
 
     name: str

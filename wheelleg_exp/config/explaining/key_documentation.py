@@ -110,10 +110,10 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 
 
 def comment_at(file: Path, line: int) -> str:
-    """Return the comment on a line of a YAML file, or directly above the line at the same indentation.
+    """Return the comment on a line of a YAML file, or the equally indented comment directly above the line.
 
-    The comment at the top of a file describes the whole file. The comment describes a key only if the file has no other
-    key.
+    The comment at the top of a file describes the whole file. The comment at the top describes a key only if the file
+    has exactly one key.
     """
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):

@@ -19,8 +19,8 @@ class TermShape:
 
     ``width`` is the number of components of the term in one control step. ``history`` is the number of control steps in
     the history; 0 means only the present. ``start`` and ``stop`` are the term's indices in the joined vector; None if
-    the term's components are not contiguous. ``joints`` are the joints that an action drives, in the order of its
-    components.
+    the term's components are not contiguous. ``joints`` contains the joints that an action drives, in the order of the
+    action's components.
     """
 
     name: str

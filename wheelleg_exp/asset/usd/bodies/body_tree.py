@@ -69,7 +69,7 @@ class Tree:
 
 
 def drawn_in_parent(node: Node) -> Frame:
-    """Return the body's pose in its parent, as drawn in the USD file."""
+    """Return the pose of the body in its parent body, as drawn in the USD file."""
     return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
 
 
@@ -163,7 +163,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
     The tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from the root.
-    If no equality can replace this joint, a different joint of the loop is opened if possible.
+    If no equality can replace the opened joint, a different joint of the loop is opened if possible.
 
     The base ``floating`` drops joints that fix a root to the world; ``fixed`` removes the free joint.
     """

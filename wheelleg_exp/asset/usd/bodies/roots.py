@@ -43,7 +43,7 @@ class Graph:
                 yield other
 
     def component(self, start: Link) -> list[Link]:
-        """Return ``start`` and all bodies that tree joints connect to it, level by level."""
+        """Return ``start`` and all bodies that tree joints connect to ``start``, level by level."""
         return list(self.distances(start, closing=False)[0])
 
     def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
