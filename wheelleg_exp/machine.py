@@ -126,8 +126,8 @@ def spins() -> str:
     return _SPINS if others + 2 <= (os.cpu_count() or 1) else "0"
 
 
-# MKL_CBWR selects one code path for matrices, so that the number of threads does not change results. OMP_WAIT_POLICY
-# makes idle threads sleep after GOMP_SPINCOUNT spins. Endless spinning makes a busy machine slow.
+# MKL_CBWR selects one code path for matrices, so that the number of threads does not change results.
+# OMP_WAIT_POLICY makes idle threads sleep after GOMP_SPINCOUNT spins, because endless spinning is slow.
 VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
 _chosen: set[str] = set()  # set by this program
 

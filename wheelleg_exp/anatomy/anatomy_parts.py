@@ -36,8 +36,7 @@ class Wheel:
     driven: bool  # whether a motor drives the wheel; false for a caster
     stands: bool  # whether the wheel is as low as the lowest wheel and carries the robot on level ground
     steered: bool  # whether the wheel's parent joint is an unlimited vertical hinge, as in a swerve drive
-    # whether the wheel is steered and trails a steering axis without motor. False if all wheels of the robot are like
-    # this.
+    # whether the wheel trails a passive steering axis; false if all wheels of the robot trail one
     caster: bool
     why: str  # the reason, with figures, why the part counts as a wheel
 
@@ -82,16 +81,14 @@ class Anatomy:
     wheels: tuple[Wheel, ...]  # the wheels in the order of the model
     legs: tuple[Leg, ...]  # one for each wheel
     others: tuple[str, ...]  # joints outside of legs and wheels, such as arms, or the legs of a robot without wheels
-    # the horizontal direction in which the wheels except casters roll; None without wheels, or if the axles are not
-    # parallel
+    # the horizontal rolling direction of the wheels except casters; None without parallel axles
     forward: Vec3 | None
     left: Vec3 | None  # the horizontal direction to the left of ``forward``
     up: Vec3  # against gravity
     middle: Vec3  # a point of the mirror plane between the left and right sides, m
     mirrored: tuple[MirroredPair, ...]  # the pairs of mirrored joints, with the left joint first
     unmatched: tuple[str, ...]  # joints without a mirror image
-    # the height of the wheels' contacts relative to the base's origin, m, negative below the origin; None without
-    # wheels
+    # the height of the wheels' contacts over the base's origin, m, usually negative; None without wheels
     support_height: float | None
     support_width: float  # the distance between the outermost wheel contacts across ``forward``, m
     support_length: float  # the distance between the outermost contacts along ``forward``, m; almost 0 on one axle

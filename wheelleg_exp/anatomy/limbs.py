@@ -97,7 +97,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
     # The distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round.
-    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
+    # An off-centre circle's support function is the radius plus a cosine, the function's first harmonic.
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     beside = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -211,7 +211,7 @@ def find_mirrored(
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
                 # The angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion.
-                # A mirror M reverses rotations: the image of a rotation by q about a is a rotation by q about -M a.
+                # A mirror M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

@@ -38,8 +38,7 @@ class Stance:
     positions: dict[str, float]  # the positions of the leg joints by name, rad (m)
     height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest height found
     offset: float  # the distance of the centre of mass in front of the middle of the contacts, m; negative behind
-    # the pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. The pitch is 0 for
-    # a robot on several axles.
+    # the base pitch that would remove ``offset``, rad, positive forwards down; 0 for a robot on several axles
     lean: float
     tallest: float
     balanced: bool  # whether ``offset`` is almost zero
@@ -179,7 +178,7 @@ class _Problem:
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
         # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
-        # On several axles, balance has a smaller weight, because several axles can carry a mass that is between them.
+        # On several axles, balance has a smaller weight, because the axles can carry a mass between them.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
         # The distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0

@@ -25,8 +25,7 @@ _SAG = 0.05  # The largest position error of a leg joint that carries the robot'
 _STRENGTH = 3.0  # The ratio of a leg drive's effort limit to the torque that holds the pose.
 _LEVER = 0.25  # For estimated gains, the weight acts at a lever of at least this share of the leg's length.
 _BENDS = 0.35  # A leg buckles if the static position error of a joint exceeds this value, rad or m.
-# The largest ratio of the torque at an error of 0.05 rad to the effort. A drive above this ratio saturates at small
-# errors.
+# The largest ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
 _FULL = 4.0
 _SLIPS = 5.0  # An effort limit above this multiple of the torque at which the wheel slips is a placeholder.
 _FAST = 100.0  # A speed limit above this value, rad/s, is a placeholder.

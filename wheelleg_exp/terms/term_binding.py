@@ -228,8 +228,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
         raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
-    # An allowed module can import any function. Check the module that defines the function, so that a config cannot
-    # call a function of the standard library through an allowed module.
+    # Check the module that defines the function, because an allowed module can import any function.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 

@@ -42,8 +42,7 @@ def inertials(
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
-            # No simulator accepts a moving link without mass. Such a link gets a mass from its volume, or 1 kg as in
-            # PhysX.
+            # A moving link without mass gets a mass from its volume, or 1 kg as in PhysX.
             heavy = {
                 link.name: part for link in unweighed if (part := _by_volume(document, link, colliders[link.name]))
             }

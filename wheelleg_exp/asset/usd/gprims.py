@@ -112,8 +112,7 @@ def _round(kind: ShapeKind, prim: Usd.Prim, at: _Placing) -> Shape:
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
-    # MuJoCo's capsule and cylinder have one radius and a circular section; a USD capsule or cylinder of any other form
-    # becomes a convex hull.
+    # A USD capsule or cylinder without a single radius and a circular section becomes a convex hull.
     tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
     oval = at.scale is None or (
         kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()

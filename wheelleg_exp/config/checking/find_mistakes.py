@@ -104,8 +104,7 @@ def check(composed: Composed) -> list[ConfigError]:
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
     if misplaced:
-        # All keys of a wrongly mounted file are at a wrong place, so further mistakes are consequences of the wrong
-        # mount.
+        # All keys of a wrongly mounted file are at a wrong place, so further mistakes are consequences of the mount.
         return misplaced
     config = lists.without_strays(composed.config, files)
     errors = (

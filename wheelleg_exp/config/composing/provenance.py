@@ -85,8 +85,7 @@ class Provenance(Mapping[str, Source]):
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Stop before the top-level key, because many files set values of this key, and its first place does not help
-        # the user.
+        # Stop before the top-level key: many files set values of this key, so its first place does not help the user.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:

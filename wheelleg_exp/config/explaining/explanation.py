@@ -57,8 +57,7 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # source.line is the line of a single value, but the comment of a mapping is at the line of the mapping's
-            # key.
+            # source.line is the line of one value, but the comment on a mapping is at the line of the mapping's key.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:

@@ -140,8 +140,7 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
-        # Only PhysxJointAxisAPI has a value for each joint axis; MuJoCo's, Newton's, and PhysxJointAPI's values apply
-        # to the whole joint.
+        # Only PhysxJointAxisAPI has a value for each joint axis. Values of all other schemas apply to the whole joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:
