@@ -18,7 +18,7 @@ def prepare_asset(
 ) -> CachedConversion:
     """Convert the robot of the composed config to MJCF, or use the cached conversion.
 
-    ``networks`` are further files to place next to the MJCF, by their relative paths.
+    ``networks`` maps relative paths to further files, which are copied next to the MJCF.
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")

@@ -1,10 +1,11 @@
 """Start, serve, and end child processes: jobs, workers, and other programs.
 
 A job trains or evaluates. The child process reads one line with a request from standard input and writes events to
-standard output, one JSON object per line. The job stops at the end of its standard input, so that it also stops when
-its parent is killed. The lines on its standard error reach the parent as ``note`` events.
+standard output, one JSON object per line. The job in the child process stops at the end of its standard input, so that
+the job also stops if the parent is killed. Each line on the child's standard error reaches the parent as a ``note``
+event.
 
-A worker reads pickled requests from standard input and answers each with bytes, until its standard input ends.
+A worker reads pickled requests from standard input and answers each request with bytes, until standard input ends.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
 class Child:
     """The process of a job: it gets a request, sends events, and stops on request.
 
-    The child process leads its own process group, so that Ctrl-C reaches only the parent. The parent then asks the job
-    to stop at its next whole iteration. ``ended`` is the event with which the job ended; None while the job runs, and
-    if it died. ``open`` has the unfinished last line of each open pipe.
+    The child process leads its own process group, so that Ctrl-C reaches only the parent. After Ctrl-C the parent asks
+    the job to stop after the current iteration. ``ended`` is the last event of a job that has ended; None if the job
+    still runs or was killed. ``open`` maps each open pipe to the pipe's unfinished last line.
     """
 
     def __init__(
@@ -78,17 +79,17 @@ class Child:
         self.open = {self._output: b"", self._errors: b""}
         for pipe in self.open:
             os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError):  # A dead process is reported later, with its exit status.
+        with contextlib.suppress(OSError):  # A later check reports a dead process with its exit status.
             self._input.write(request)
             self._input.flush()
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop at its next whole iteration."""
+        """Ask the job to stop after the current iteration."""
         with contextlib.suppress(OSError):
             self._input.close()
 
     def interrupt(self) -> None:
-        """Stop at once a job that has already been asked to stop. The job treats SIGTERM as the second stop request."""
+        """Stop a job immediately after an earlier stop request. The job treats SIGTERM as the second stop request."""
         self.process.send_signal(signal.SIGTERM)  # A shell's background job ignores SIGINT.
 
     def kill(self) -> None:
@@ -109,13 +110,13 @@ class Child:
         self._errors.close()
 
     def read(self, pipe: IO[bytes]) -> Iterator[Event]:
-        """Yield the events that a pipe contains now."""
+        """Yield the events that a pipe currently contains."""
         found = self.open.pop(pipe)
         try:
             while chunk := os.read(pipe.fileno(), _CHUNK):
                 found += chunk
             found += b"\n"
-        except BlockingIOError:  # The pipe is empty, but not closed.
+        except BlockingIOError:  # The pipe is empty, but still open.
             found, _, self.open[pipe] = found.rpartition(b"\n")
         for raw in filter(bytes.strip, found.split(b"\n")):
             line = raw.decode(errors="replace").rstrip()
@@ -140,7 +141,7 @@ class Child:
 
 
 def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Event]]:
-    """Yield the events that children have sent; wait at most ``wait_s`` for the first event."""
+    """Yield the events that child processes have sent; wait at most ``wait_s`` seconds for the first event."""
     with selectors.DefaultSelector() as selector:
         for child in children:
             for pipe in child.open:
@@ -152,7 +153,7 @@ def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Ev
 
 
 def parse_event(line: str) -> Event | None:
-    """Return the event on a line; None for a line without an event, for example because a kill truncated the line."""
+    """Return the event in a line of text; None for a line without an event, such as a truncated line."""
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):
@@ -164,7 +165,7 @@ def parse_event(line: str) -> Event | None:
 def job_events(child: Child, stop: StopRequest) -> Iterator[Iterator[Event]]:
     """Yield an iterator over the events of a job; on exit, end its process: politely, then at once, then by force.
 
-    The iterator raises ``Interrupted`` when the job was stopped, and a WheellegError when the job failed.
+    The iterator raises ``Interrupted`` if the job was stopped, and a WheellegError if the job failed.
     """
     try:
         yield _events(child, stop)
@@ -206,9 +207,9 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
 
 
 class EventPipe:
-    """Sends events to the parent process. If the parent has died, the events are dropped.
+    """A sender of events from a job to the parent process. If the parent process has died, the events are dropped.
 
-    ``reached`` says whether the job did all that was requested, so that its stop is not an interruption.
+    If the job has completed the requested work, ``reached`` is true, and a stop request is not an interruption.
     """
 
     reached = False
@@ -226,7 +227,7 @@ class EventPipe:
 
 
 def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
-    """Do the work that the first line of standard input requests, and return the exit status."""
+    """Run the job that the first line of standard input requests, and return the exit status."""
     prepare_threads()
     descriptor = os.dup(1)
     os.dup2(2, 1)
@@ -238,7 +239,7 @@ def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
 
 
 def run_job(pipe: EventPipe, work: Callable[[EventPipe], None]) -> int:
-    """Run the work of a job, send an ``ended`` event to the parent, and return the exit status."""
+    """Run a job, send an ``ended`` event to the parent process, and return the exit status."""
     try:
         work(pipe)
     except Interrupted:
@@ -264,8 +265,8 @@ def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
 class Worker:
     """A module in a child process that answers pickled requests with bytes (see ``serve_requests``).
 
-    The process first gets ``order``, and sends ``ready`` when it has prepared itself. ``errors`` is an empty file for
-    the standard error of the process.
+    The child process first receives ``order``, and sends ``ready`` after its preparation. ``errors`` is an empty file
+    for the standard error of the process.
     """
 
     def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
@@ -285,14 +286,14 @@ class Worker:
             self.is_ready = self._stdout.read(len(_READY)) == _READY
 
     def ask(self, request: Any, count: int) -> bytes:
-        """Return the ``count`` bytes of the answer, or fewer if the process died."""
+        """Return the next ``count`` bytes of the answer, or fewer bytes if the worker process died."""
         with contextlib.suppress(OSError):
             self._send(request)
             return self._stdout.read(count)
         return b""
 
     def last_line(self) -> str:
-        """Return the last line on the standard error of the process, or its exit status."""
+        """Return the last line on the standard error of the process; without such a line, return the exit status."""
         self._errors.seek(0)
         lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
@@ -316,10 +317,10 @@ class Worker:
 def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
     """Answer requests in the process of a ``Worker`` until standard input ends.
 
-    ``prepare`` gets the worker's order, and yields the function that answers a request.
+    ``prepare`` receives the worker's order, and yields the function that answers requests.
     """
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # Text that a library prints must not mix with the answers.
+    os.dup2(2, 1)  # Text that a library prints to standard output must not mix with the answers.
     with prepare(pickle.load(source)) as answer:
         target.write(_READY)
         target.flush()
@@ -339,7 +340,7 @@ def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any
 def running_program(
     command: Sequence[str], output: IO[bytes], environ: Mapping[str, str], folder: str
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Yield a running program that leads its own session; on exit, end it and all processes that it started."""
+    """Yield a running program in its own session; on exit, end the program and all processes that it has started."""
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
@@ -347,7 +348,7 @@ def running_program(
         stderr=subprocess.STDOUT,
         env=dict(environ),
         cwd=folder,
-        start_new_session=True,  # Ctrl-C must reach only the parent.
+        start_new_session=True,  # Ctrl-C must reach only the parent process.
     )
     try:
         yield process
@@ -356,13 +357,13 @@ def running_program(
 
 
 def end_program(process: subprocess.Popen[bytes]) -> None:
-    """End a program that leads its own session, and all processes that it started."""
+    """End a program that runs in its own session, and all processes that the program has started."""
     for number in (signal.SIGTERM, _KILL):
         _signal_group(process, number)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_PROGRAM_PATIENCE_S)
             break
-    _signal_group(process, _KILL)  # The program's own children may have outlived it.
+    _signal_group(process, _KILL)  # Child processes of the program can still run after the end of the program.
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: int) -> None:

@@ -1,10 +1,11 @@
-"""Constraints on parameters, in their annotations. ``wheelleg check`` and the code that builds objects enforce them.
+"""Define constraints that the annotations of parameters can contain.
 
     def track(env: Env, std: Positive, share: Share = 1.0, span: Interval = (0.0, 1.0)) -> torch.Tensor: ...
     def count(env: Env, steps: Annotated[int, AtLeast(2), AtMost(8)]) -> torch.Tensor: ...
 
-User-defined terms, noise, actuators and sensors are checked against their annotations like stock ones. A number must be
-finite unless its annotation contains ``MayBeInfinite``. ``relation`` attaches a rule between several parameters.
+``wheelleg check`` and the code that builds objects enforce the constraints. User-defined terms, noise, actuators and
+sensors are checked against their annotations like those of the library. A number must be finite unless its annotation
+contains ``MayBeInfinite``. The decorator ``relation`` attaches a rule between several parameters.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 
 class Constraint:
-    """A requirement for a value of the right type.
+    """A requirement that a value of the annotated type must satisfy.
 
     In messages, ``form`` replaces the type, such as ``[low, high]``; ``broken`` replaces the value; and ``text``
     follows the type: ``a number, <text>``.
@@ -28,11 +29,11 @@ class Constraint:
     text: str = ""
 
     def words(self) -> str:
-        """Return the text that follows the type in messages."""
+        """Return the text of the constraint, which follows the type in error messages."""
         return self.text
 
     def holds(self, value: Any) -> bool:
-        """Return whether a value of the annotated type fits."""
+        """Return whether a value of the annotated type satisfies the constraint."""
         raise NotImplementedError
 
 
@@ -86,7 +87,7 @@ class Length(Constraint):
 
 
 class NotEmpty(Constraint):
-    """A list, mapping or text that is not empty."""
+    """The value is a list, mapping or text that is not empty."""
 
     text = "not empty"
 
@@ -95,7 +96,7 @@ class NotEmpty(Constraint):
 
 
 class NotAllZero(Constraint):
-    """A list of numbers that are not all 0."""
+    """The value is a list of numbers, of which at least one is not 0."""
 
     text = "not all zero"
 
@@ -133,7 +134,7 @@ class Targeted(Constraint):
 
 @dataclass(frozen=True)
 class Pattern(Constraint):
-    """A text that a regular expression matches completely; ``form`` describes the text."""
+    """The value is a text that a regular expression matches completely; ``form`` describes valid texts."""
 
     expression: str
     form: str
@@ -171,9 +172,9 @@ _RULES = "_relations"
 
 
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
-    """Attach a rule between several parameters to a target.
+    """Attach a rule between several parameters to a function or class.
 
-    The rule receives the parameters from the config, including defaults, after each of them has passed its own check.
+    The rule receives the parameters from the config, including defaults, after each parameter has passed its own check.
     """
 
     def attach(target: _Target) -> _Target:
@@ -184,5 +185,5 @@ def relation(rule: Rule) -> Callable[[_Target], _Target]:
 
 
 def rules_of(target: Callable[..., Any]) -> Sequence[Rule]:
-    """Return the rules of a target; a class inherits the rules of its base classes."""
+    """Return the rules of a function or class; a class inherits the rules of its base classes."""
     return getattr(target, _RULES, ())

@@ -1,7 +1,7 @@
 """Define every reported figure: its label, its unit, and its meaning.
 
-Commands, plots, reports, and docs read these definitions. The sections are: the text of figures, the scalars of a
-training, the figures of plays and agents, the figures of drives, and the figures of a recording.
+Commands, plots, reports, and docs read the definitions of figures. The sections are: the text of figures, the scalars
+of a training, the figures of plays and agents, the figures of drives, and the figures of a recording.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ class Definition:
     """The definition of a figure: its label, its unit, and its meaning.
 
     ``unit`` is empty for a number, a count or a text. ``meaning`` states the episodes, environments and steps that the
-    figure covers, and the computation. ``of`` names the episodes or steps over which a mean is taken.
+    figure covers, and how the figure is computed. If the figure is a mean, ``of`` names the episodes or steps of the
+    mean.
     """
 
     label: str
@@ -36,21 +37,21 @@ class Definition:
 
 
 def ending(terms: Iterable[str]) -> str:
-    """Return the text for the terminations that fired in an episode's last step.
+    """Return the text for the termination terms that were true in an episode's last step.
 
-    If no termination fired, a reward or a state that was not finite ended the episode.
+    If no termination term was true, a reward or a state that was not finite ended the episode.
     """
     return " and ".join(terms) or NOT_FINITE
 
 
 def percent(share_: float) -> str:
-    """Return a share as a percentage, ``93.8%``. Only exactly 0 and 1 are shown as 0.0% and 100.0%."""
+    """Return a share as a percentage, such as ``93.8%``. Only exactly 0 and 1 are shown as 0.0% and 100.0%."""
     shown = min(max(round(100.0 * share_, 1), 0.1), 99.9) if 0.0 < share_ < 1.0 else 100.0 * share_
     return f"{shown:.1f}%"
 
 
 def share(part: int, whole: int) -> str:
-    """Return a share with its counts, ``93.8% (60 of 64)``; a dash if ``whole`` is 0."""
+    """Return a share with its counts, such as ``93.8% (60 of 64)``; a dash if ``whole`` is 0."""
     return f"{percent(part / whole)} ({part} of {whole})" if whole else "-"
 
 
@@ -71,7 +72,7 @@ TRAINING_ABOUT = (
     "episodes, and shorter ones. `*_per_step/…` has no such bias: every environment counts equally in every control "
     "step of the iteration. Command errors are sampled once per control step, after the resets of that step."
 )
-# The definitions of TensorBoard scalars by key. A part in <> matches any name, and the first match counts.
+# The definitions of TensorBoard scalars by key. A part of a key in <> matches any name. The first match is used.
 SCALARS = {
     "Train/mean_reward": Definition("return, mean", "",
         f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST),
@@ -123,7 +124,7 @@ SCALARS = {
     "Perf/learning_time": Definition("time of the update", "s", "Wall-clock time."),
 }  # fmt: skip
 
-# The columns of `wheelleg list runs`, by heading.
+# The columns of the table of `wheelleg list runs`, by heading.
 LISTED = {
     "done": Definition("done", "", "Finished iterations, and the requested number."),
     "return": Definition("return", "", "`Train/mean_reward` of the last iteration."),
@@ -136,7 +137,7 @@ LISTED = {
         "Time from the start of the run to its end. For a resumed run: the sum of its iterations."),
 }  # fmt: skip
 
-# The manifest has these keys, in addition to scalars of the last iteration.
+# A run's manifest contains these keys in addition to the scalars of the last iteration.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
     "results.seconds": Definition("seconds", "s",
@@ -163,7 +164,7 @@ def curve_title(key: str) -> str:
 
 
 def scalar_definition(key: str) -> Definition | None:
-    """Return the definition of a scalar, with the names of the key in its label; None if the key is unknown."""
+    """Return the definition of a TensorBoard scalar, with names from the key in the label; None for an unknown key."""
     for pattern, found in SCALARS.items():
         match = re.fullmatch(_NAME.sub(r"(?P<\1>.+)", pattern), key)
         if match:
@@ -174,14 +175,14 @@ def scalar_definition(key: str) -> Definition | None:
     return None
 
 
-# --- plays and agents ---
+# --- figures of plays and agents ---
 
 ROLLOUT_ABOUT = (
     "These figures cover the first episode of each environment. Height and pitch cover all control steps after "
     "`settle_s`, of all these episodes together: an episode that ends early counts with fewer steps. The label says "
     "after how many seconds."
 )
-# The keys are those of figures.json and of the manifest's additions.
+# The keys of this table are keys of figures.json and of the manifest.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
     "unfinished": Definition("still running", "",
@@ -215,7 +216,7 @@ MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
     "If a figure has one value for each actuator group, its label names the group."
 )
-# The keys are those of figures.json. The last three figures have one value for each actuator group.
+# The keys of this table are keys of figures.json. The last three figures have one value for each actuator group.
 MOTION = {
     "drift_m": Definition("strayed from its place", "m",
         "Largest distance in the plane from the base's position at the settling time, mean over the episodes that "
@@ -238,7 +239,7 @@ CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
     "cover the control steps at least 0.2 s after a reset in which the robot is tilted by less than 0.2 rad."
 )
-# The keys are those of figures.json below `contacts.<sensor>`.
+# The keys of this table are keys of figures.json below `contacts.<sensor>`.
 CONTACTS = {
     "mean_n": Definition("mean", "N",
         "Mean size of the net normal force at the end of these steps; 0 without contact."),
@@ -249,7 +250,7 @@ CONTACTS = {
 
 
 def rollout_label(key: str, settle_s: float | None) -> str:
-    """Return the label of a figure and the part of an episode that it covers; ``settle_s`` is None if unknown."""
+    """Return a figure's label and the part of an episode that the figure covers; ``settle_s`` is None if unknown."""
     if key in MOTION:
         return f"{MOTION[key].label}, {settled_window(settle_s)}"
     text = ROLLOUT[key].label
@@ -257,7 +258,7 @@ def rollout_label(key: str, settle_s: float | None) -> str:
 
 
 def settled_window(settle_s: float | None) -> str:
-    """Return the part of an episode that height and pitch cover, as text."""
+    """Return a text with the part of an episode that the figures of height and pitch cover."""
     if settle_s is None:
         return "once settled"
     return f"after {settle_s:g} s" if settle_s else "from the start"
@@ -269,7 +270,7 @@ DRIVE_ABOUT = (
     "These figures cover one robot over all control steps of the drive, including its falls and restarts. There is one "
     "drive for each selected checkpoint and each selected ground."
 )
-# The keys are those of figures.json below play/, and of the manifest's additions of kind `drive`.
+# The keys of this table are keys of figures.json below play/, and of manifests of the kind `drive`.
 DRIVE = {
     "duration_s": Definition("driven", "s", "Simulated time. Pauses, and the time for which falls are shown, are out."),
     "steps": Definition("control steps", "", "Number of control steps."),
@@ -319,7 +320,7 @@ _WHOLE = {
     "mean_reward": Definition("return, mean", "",
         "Mean over the whole episodes of the sum of rewards, not discounted."),
 }  # fmt: skip
-# The keys are the titles of `wheelleg inspect`'s tables, then the names of figures in the summary's JSON.
+# The outer keys are the titles of `wheelleg inspect`'s tables. The inner keys are names in the summary's JSON.
 RECORDED = {
     "samples": {
         "iterations": Definition("iterations", "", "Iterations of the sample's first and last frame."),
@@ -380,10 +381,10 @@ RECORDED = {
 
 
 def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:
-    """Return the headings of a table's columns with their units; of all columns if no keys are given."""
+    """Return the headings of a table's columns with units; without ``keys``, return the headings of all columns."""
     return tuple(RECORDED[table][key].heading for key in keys or RECORDED[table])
 
 
 def recorded_label(table: str, key: str) -> str:
-    """Return the label of a figure in one of the tables."""
+    """Return the label of a figure in a table of definitions."""
     return RECORDED[table][key].label

@@ -15,18 +15,18 @@ EXIT_FAILED = 3
 EXIT_INTERRUPTED = 130
 
 _ODD = re.compile(r"[^\n\t -~]")
-# str.isprintable rejects these categories of spaces, but they are harmless.
+# str.isprintable rejects space characters of these Unicode categories, but the characters are harmless.
 _SPACES = ("Zs", "Zl", "Zp")
-# A part of a name must have this number of letters to find the name.
+# A text with at least this number of letters can match a name that contains the text.
 _LEAST_PART = 4
 
 
 class WheellegError(Exception):
     """An error for users, which is printed without a traceback.
 
-    ``message`` says what is wrong, in one sentence without a full stop. ``key`` is the config key, prim, file or
-    command-line word of the message. ``where`` is the ``file:line`` (or the override) of the value. ``expected`` says
-    what is expected instead, and ``nearest`` is the nearest valid name.
+    ``message`` states the problem in one sentence without a full stop. ``key`` is the config key, prim, file or
+    command-line argument that the message is about. ``where`` is the ``file:line`` of the wrong value, or the override
+    that sets the value. ``expected`` describes a valid value, and ``nearest`` is the most similar valid name.
     """
 
     exit_code = EXIT_INPUT
@@ -67,7 +67,7 @@ class MissingValue(ConfigError):
 
 
 class UnreadKey(ConfigError):
-    """A key is set, but no code reads the key."""
+    """A config sets a key that no code reads."""
 
     def __init__(self, message: str = "nothing reads this key", **fields: str | None) -> None:
         super().__init__(message, **fields)
@@ -77,7 +77,7 @@ class AssetError(WheellegError):
     """A robot file cannot be read, or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return the error for a config key; the present key and place become a part of the message."""
+        """Return a copy of the error for a config key; the error's old key and place become a part of the message."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")
@@ -106,7 +106,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def printable(text: str) -> str:
-    """Escape control characters, because text from files could otherwise control the terminal."""
+    """Escape the control characters in a text, because text from files could otherwise control the terminal."""
     return _ODD.sub(lambda found: _escaped(found[0]), text)
 
 
@@ -117,7 +117,7 @@ def _escaped(letter: str) -> str:
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the name among ``names`` that is most similar to ``name``, or None if no name is similar.
 
-    A name that differs only in case is preferred. A name that contains ``name`` is the last choice.
+    A name that differs only in case is preferred. If no name is similar, a name that contains ``name`` is returned.
     """
     listed = list(names)
     same = [other for other in listed if other.lower() == name.lower()]

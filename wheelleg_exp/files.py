@@ -23,7 +23,7 @@ from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_valu
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"
-# The limits in bytes of a file that is read at once.
+# The largest sizes, in bytes, of files that are read completely into memory.
 _LARGEST, _LARGEST_JSON, _LARGEST_YAML = 1 << 30, 1 << 26, 1 << 22
 
 
@@ -47,7 +47,7 @@ def for_people(path: Path, verb: str = "write") -> Iterator[None]:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """Convert a RunDirectoryError inside the block to a failure of the run, because the path worked at its start."""
+    """Convert a RunDirectoryError inside the block to a failure of the run, because the path was valid at its start."""
     try:
         yield
     except RunDirectoryError as error:
@@ -59,8 +59,8 @@ def while_running() -> Iterator[None]:
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     """Write ``data`` to ``path`` atomically: a reader sees the old file or the complete new one.
 
-    Missing folders are created. The data is on the disk (fsync) before the file name points to the data. A full or
-    broken disk raises SimulationFailure, any other problem RunDirectoryError.
+    Missing folders are created. The function syncs the data to the disk before it renames the temporary file. A full or
+    broken disk raises SimulationFailure. Any other problem raises RunDirectoryError.
     """
     temporary = temporary_name(path)
     with for_people(path):
@@ -83,7 +83,7 @@ def require_new(path: Path) -> None:
 
 
 def write_new(path: Path, content: bytes) -> None:
-    """Write a new file atomically; a missing folder is created."""
+    """Write a new file atomically; create the file's folder if the folder is missing."""
     require_new(path)
     write_bytes(path, content)
 
@@ -108,12 +108,12 @@ def write_yaml(path: Path, value: Any) -> None:
 
 
 def dump_json(value: Any) -> str:
-    """Return ``value`` as the text that ``write_json`` writes."""
+    """Return ``value`` as JSON text, in the format of ``write_json``."""
     plain = json_plain(value)
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     try:
         text.encode("utf-8")
-    except UnicodeEncodeError:  # Names of files that are not UTF-8 contain surrogates.
+    except UnicodeEncodeError:  # A file name that is not UTF-8 contains surrogates.
         text = json.dumps(plain, indent=2, allow_nan=False) + "\n"
     return text
 
@@ -134,12 +134,12 @@ def json_plain(value: Any) -> Any:
         return str(value)
     if hasattr(value, "tolist"):  # numpy and torch
         return json_plain(value.tolist())
-    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+    raise TypeError(f"a value of the type {type(value).__name__} cannot be written as JSON")
 
 
 @contextlib.contextmanager
 def open_file(path: Path) -> Iterator[BufferedReader]:
-    """Open a regular file for reading. Pipes and devices are refused, because reading them might never end."""
+    """Open a regular file for reading. Pipes and devices are refused, because a read from them might never end."""
     with for_people(path, "read"), open(path, "rb", opener=_opened) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             message = "the path is not an ordinary file"
@@ -148,15 +148,15 @@ def open_file(path: Path) -> Iterator[BufferedReader]:
 
 
 def _opened(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Do not wait for the other end of a pipe.
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Do not wait until another process opens a pipe.
 
 
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
     """Return the content of a file of at most ``largest`` bytes."""
     with open_file(path) as file:
-        size = os.fstat(file.fileno()).st_size  # The size is needed first, because file.read(n) allocates n bytes.
+        size = os.fstat(file.fileno()).st_size  # Read the file's size first, because file.read(n) allocates n bytes.
         data = b"" if size > largest else file.read(size + 1)
-        if len(data) > size:  # The file has more bytes than its reported size.
+        if len(data) > size:  # The file contains more bytes than its reported size.
             data += file.read(largest + 1 - len(data))
     if max(size, len(data)) > largest:
         message = f"the file has more than {largest >> 20} MiB"
@@ -165,7 +165,7 @@ def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
 
 
 def read_lines(path: Path) -> Iterator[bytes]:
-    """Yield the lines of a file with their line ends; very long lines come in pieces."""
+    """Yield the lines of a file with their line ends; a very long line is split into several pieces."""
     with open_file(path) as file:
         while line := file.readline(_LARGEST_JSON):
             yield line
@@ -194,9 +194,11 @@ def read_yaml(path: Path) -> Any:
 
 
 def require_mapping(value: Any, path: Path) -> dict[str, Any]:
-    """Return a value that was read from ``path``; RunDirectoryError unless it is a mapping."""
+    """Return a value that was read from ``path``; raise RunDirectoryError if the value is not a mapping."""
     if not isinstance(value, dict):
-        raise RunDirectoryError(f"the file contains a {type(value).__name__}", key=str(path), expected="a mapping")
+        raise RunDirectoryError(
+            f"the file contains a {type(value).__name__}, not a mapping", key=str(path), expected="a mapping"
+        )
     return value
 
 
@@ -222,9 +224,10 @@ def temporary_name(path: Path) -> Path:
 
 @contextlib.contextmanager
 def temporary_folder(target: Path) -> Iterator[Path]:
-    """Make a folder next to ``target`` for the body to fill and rename; remove a folder that was not renamed.
+    """Make a folder next to ``target``, which the block fills and renames; remove the folder if it was not renamed.
 
-    A killed process leaves its folder behind. The next call for the same target removes folders that are not locked.
+    If the process is killed, the folder is not removed. The next call for this target removes left-over folders that no
+    process has locked.
     """
     for left in target.parent.glob(f".{glob.escape(target.name)}.*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError), _flocked(left):
@@ -233,7 +236,7 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # On a file system without locks, left-over folders are never removed.
+        with contextlib.suppress(OSError):  # Without file locks, old folders are never removed.
             stack.enter_context(_flocked(folder))
         yield folder
 
@@ -249,7 +252,7 @@ def _flocked(folder: Path) -> Iterator[None]:
 
 
 def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:
-    """Return the incomplete files of killed writers in a folder, or with ``deep`` anywhere below it."""
+    """Return incomplete files that killed processes left in a folder; with ``deep``, search all subfolders."""
     pattern = f".*{TEMPORARY_SUFFIX}"
     return sorted(folder.rglob(pattern) if deep else folder.glob(pattern))
 
@@ -264,14 +267,14 @@ def cut(path: Path, size: int) -> None:
 
 
 def sync(path: Path) -> None:
-    """Sync a file's content to the disk, so that it survives a power failure."""
+    """Sync a file's content to the disk, so that the content survives a power failure."""
     if path.exists():
         with for_people(path):
             _fsync(path)
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync every file below a folder, and the directory entries that lead to it, to the disk."""
+    """Sync every file below a folder to the disk, and the directory entries of the files and of the folder."""
     for path in sorted(folder.rglob("*")):
         _sync(path)
     for place in (folder, folder.parent, folder.parent.parent):
@@ -279,7 +282,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    # Some file systems cannot sync a folder, which is harmless.
+    # Some file systems cannot sync a folder. This error is harmless.
     with contextlib.suppress(OSError):
         _fsync(path)
 

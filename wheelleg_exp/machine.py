@@ -1,7 +1,8 @@
 """The machine's limits: memory, and the cores and environment variables that CPU training uses.
 
-The variables must be set before torch is imported, because they make CPU training repeatable. A memory requirement is a
-lower bound, so that a config that cannot fit is refused by its key before the system kills the process.
+The environment variables make CPU training repeatable, and must be set before torch is imported. A memory requirement
+is a lower bound. If a config needs more memory than the machine has, an error names the config key before the system
+kills the process.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from pathlib import Path
 from wheelleg_exp.errors import ConfigError, WheellegError
 
 _LIMIT = Path("/sys/fs/cgroup/memory.max")
-# Reading the stock robot needs this address space and data in bytes (measured: 573 MB and 62 MB on two cores).
+# The address space and data size, in bytes, for reading the stock robot (measured: 573 MB and 62 MB on two cores).
 _SPACE, _DATA = 5 * 2**27, 2**27
-# Importing torch, MuJoCo and USD needs this address space in bytes (measured: 1.2 GB).
+# The address space, in bytes, for importing torch, MuJoCo and USD (measured: 1.2 GB).
 START_SPACE = 5 * 2**28
 _UNITS = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"))
 
 
 def machine_memory() -> int:
-    """Return the bytes of memory that this machine, or the container, has."""
+    """Return the size of this machine's or container's memory in bytes."""
     found = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         limit = _LIMIT.read_text(encoding="ascii").strip()
@@ -33,7 +34,7 @@ def machine_memory() -> int:
 
 
 def require_memory(need: int, key: str, what: str) -> None:
-    """Raise ConfigError for ``key`` if the machine has less memory than ``what`` needs at least (``need`` bytes)."""
+    """Raise ConfigError for ``key`` if the machine has less memory than the ``need`` bytes that ``what`` needs."""
     total = machine_memory()
     if need > total:
         message = f"{what} take {shown_bytes(need)} of memory at least"
@@ -41,7 +42,7 @@ def require_memory(need: int, key: str, what: str) -> None:
 
 
 def used_memory(kind: str) -> int | None:
-    """Return a size of this process in bytes by its name in ``/proc/self/status``; None without the file."""
+    """Return a memory size of this process in bytes, by its name in ``/proc/self/status``; None without this file."""
     try:
         text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{kind}:"))
@@ -50,9 +51,9 @@ def used_memory(kind: str) -> int | None:
 
 
 def require_room(space: int = _SPACE) -> None:
-    """Raise WheellegError if ``ulimit -v`` or ``ulimit -d`` leaves less than ``space`` bytes to this process.
+    """Raise WheellegError if ``ulimit -v`` or ``ulimit -d`` limits this process to fewer than ``space`` further bytes.
 
-    Without memory, USD, MuJoCo and torch crash without a message.
+    If memory is exhausted, USD, MuJoCo and torch crash without a message.
     """
     for name, kind, least in (("RLIMIT_AS", "VmSize", space), ("RLIMIT_DATA", "VmData", _DATA)):
         used = used_memory(kind)
@@ -68,7 +69,7 @@ def require_room(space: int = _SPACE) -> None:
 
 
 def shown_bytes(size: int) -> str:
-    """Return a size in GB or MB with three digits."""
+    """Return a memory size as text in GB or MB with three digits."""
     factor, unit = next((pair for pair in _UNITS if size >= pair[0]), _UNITS[-1])
     return f"{size / factor:,.3g} {unit}" if size < 1e15 else f"{size / factor:.1e} {unit}"
 
@@ -80,8 +81,8 @@ PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
 def matrix_kernels() -> str:
     """Return the faster of MKL's two reproducible code paths: the wide path needs an Intel CPU with AVX-512.
 
-    Each MKL code path gives the same bits for any number of threads. MKL ignores the variable on CPUs that are not from
-    Intel.
+    The setting makes MKL's results bitwise equal for any number of threads. On CPUs that are not from Intel, MKL
+    ignores the variable.
     """
     flags = first_processor().get("flags", "").split()
     wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)
@@ -89,12 +90,12 @@ def matrix_kernels() -> str:
 
 
 def is_intel() -> bool:
-    """Return whether the kernel reports an Intel CPU."""
+    """Return whether the operating system reports an Intel CPU."""
     return first_processor().get("vendor_id") == "GenuineIntel"
 
 
 def first_processor() -> dict[str, str]:
-    """Return the kernel's information about the first processor; empty without ``/proc/cpuinfo``."""
+    """Return Linux's information about the first processor; empty without ``/proc/cpuinfo``."""
     try:
         text = _CPUINFO.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -104,15 +105,15 @@ def first_processor() -> dict[str, str]:
 
 
 _LOADAVG = Path("/proc/loadavg")
-_SPINS, _SAMPLES = "20000", 3  # 20000 spins take up to a millisecond.
+_SPINS, _SAMPLES = "20000", 3  # 20000 spins of an idle thread take up to a millisecond.
 
 
 def spins() -> str:
     """Return the number of spins of OpenMP's idle threads before they sleep.
 
-    Threads that sleep at once double the time of an update with many short operations. Spinning threads slow down other
-    spinning threads: two simultaneous trainings would take four times as long. So threads spin only if no other
-    process computes at this moment.
+    If idle threads sleep immediately, a policy update with many short operations takes twice the time. Spinning threads
+    slow down other spinning threads: two simultaneous trainings would take four times as long. Therefore idle threads
+    spin only if no other process computes at this moment.
     """
     try:
         running = []
@@ -125,8 +126,8 @@ def spins() -> str:
     return _SPINS if others + 2 <= (os.cpu_count() or 1) else "0"
 
 
-# MKL_CBWR: one matrix code path for every number of threads, so that the number of threads changes no result.
-# OMP_WAIT_POLICY: idle threads sleep after GOMP_SPINCOUNT spins; endless spinning makes a busy machine much slower.
+# MKL_CBWR selects one code path for matrices, so that the number of threads does not change results.
+# OMP_WAIT_POLICY makes idle threads sleep after GOMP_SPINCOUNT spins, because endless spinning is slow.
 VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
 _chosen: set[str] = set()  # set by this program
 
@@ -134,26 +135,26 @@ _chosen: set[str] = set()  # set by this program
 def prepare_threads() -> bool:
     """Set the variables that the user has not set; GOMP_SPINCOUNT only if OMP_WAIT_POLICY is not set, either.
 
-    Return False if the variables have no effect, because torch was imported before one of them was set.
+    Return False if torch was imported before one of the variables was set, because the variables then have no effect.
     """
     missing = [name for name in VARIABLES if name not in os.environ]
     if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
-        missing.remove("GOMP_SPINCOUNT")  # The user has chosen how threads wait.
+        missing.remove("GOMP_SPINCOUNT")  # The user has set how idle threads wait.
     os.environ.update({name: VARIABLES[name]() for name in missing})
     _chosen.update(missing)
     return not (missing and "torch" in sys.modules)
 
 
 def share_cores() -> None:
-    """Make idle threads of child processes sleep at once, because several child processes compute simultaneously."""
+    """Make idle threads of child processes sleep immediately, because several child processes compute at a time."""
     if "GOMP_SPINCOUNT" in _chosen:
         os.environ["GOMP_SPINCOUNT"] = "0"
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:
-    """Use the MKL code path in a run's recorded variables, if this CPU supports it and the user has not chosen another.
+    """Use the MKL code path that a run recorded, if this CPU supports the path and the user has not chosen a path.
 
-    Call this function before MKL is first used; importing tensordict uses MKL.
+    Call this function before the first use of MKL. The import of tensordict uses MKL.
     """
     kernels = recorded.get("MKL_CBWR")
     if "MKL_CBWR" in _chosen and kernels in (PORTABLE_KERNELS, matrix_kernels()):
@@ -161,9 +162,9 @@ def keep_kernels(recorded: Mapping[str, str]) -> None:
 
 
 def own_environ() -> dict[str, str]:
-    """Return the environment variables without those that this program has set, for a child process of this program.
+    """Return the environment variables for a child process, without the variables that this program has set.
 
-    The child process would treat inherited variables as the user's choice, and would ignore a run's code path.
+    A child process would treat inherited variables as the user's choice, and would ignore the MKL code path of a run.
     """
     return {name: value for name, value in os.environ.items() if name not in _chosen}
 

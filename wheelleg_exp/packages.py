@@ -1,13 +1,14 @@
-"""User projects, which declare packages for configs in their ``pyproject.toml``, and folders that the user trusts.
+"""Find user projects, which declare packages for configs in ``pyproject.toml``, and folders that the user trusts.
 
-The declaration is the entry-point group ``wheelleg_exp.packages``. For an installed project, the declaration is read
-from its distribution. Without installation, a project counts while the current folder is in it, or while
-``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be imported. No package
-is imported before a config names a target in that package, and then only declared packages can be found.
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
+declaration is read from the installed distribution. Without installation, a project counts while the current folder is
+in it, or while ``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be
+imported. A declared package is imported only if a config names a target in the package. Packages that are not declared
+cannot be imported from the project.
 
-Anybody may have written a record (of a run, a pipeline, a result), so its paths are not trusted. A recorded path is
-used only if it leads to a folder that the user has named with ``--config-dir``, or to the current project. Only
-``cli/main.py`` adds folders, because it knows what the user typed.
+An untrusted person may have written the record of a run, so the paths in a record are not trusted. A recorded path is
+used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``. Only
+``cli/main.py`` adds trusted folders, because only this module knows the user's command line.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from wheelleg_exp.paths import cache_dir
 
 
 def trust(folders: Iterable[Path]) -> None:
-    """Record existing folders that the user has typed.
+    """Save the existing folders among those that the user has typed as trusted folders.
 
-    If the list of trusted folders cannot be written, a later command asks the user again.
+    If the list of trusted folders cannot be written, the user must name the folders again for a later command.
     """
     known = _trusted()
     existing = map(os.path.realpath, filter(Path.is_dir, folders))
@@ -49,7 +50,7 @@ def is_trusted(path: str | Path) -> bool:
 
 
 def real_path(path: str | Path) -> str:
-    """Return the absolute path without links; an empty text for an invalid path."""
+    """Return the absolute path without symbolic links; an empty text for an invalid path."""
     try:
         return os.path.realpath(path)
     except ValueError:  # The text contains a null character.
@@ -73,7 +74,7 @@ FILE = "pyproject.toml"
 _RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")
 CONFIGS = "configs"
 _ROOT = 0  # the administrator's user id
-_SOURCES = ("", "src")  # These folders can contain a project's packages.
+_SOURCES = ("", "src")  # The folders that can contain the packages of a project.
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Project:
         return self.root / CONFIGS
 
     def source(self, package: str) -> Path:
-        """Return the folder that contains the top folder or module of a declared package."""
+        """Return the folder that contains a declared package's top-level folder or module."""
         top = package.split(".")[0]
         for folder in (self.root / name for name in _SOURCES):
             if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
@@ -145,7 +146,7 @@ def current_project() -> Project | None:
 
 
 def _require_own(project: Project) -> None:
-    """Raise ConfigError for a project of another user, who could have put it above the current folder.
+    """Raise ConfigError if a project belongs to another user, who could have put the project above the current folder.
 
     git has the same rule: being in a folder does not mean that the user trusts it.
     """
@@ -157,15 +158,15 @@ def _require_own(project: Project) -> None:
 
 
 def with_current(folders: Sequence[Path]) -> list[Path]:
-    """Return config folders, followed by the config folder of the current project.
+    """Return the given config folders, followed by the config folder of the current project.
 
-    A missing folder is returned unchanged; the code that reads it reports the error.
+    A missing folder is returned unchanged; the code that reads the folder reports the error.
     """
     found = [_resolved(folder) for folder in folders]
     try:
         project = current_project()
     except ConfigError as error:
-        if error.key in {str(folder.parent) for folder in found}:  # The user trusts a project by naming it.
+        if error.key in {str(folder.parent) for folder in found}:  # A project is trusted if the user names the project.
             return found
         raise
     if project is not None:
@@ -188,7 +189,7 @@ def config_folder(folder: Path) -> Path:
     if absolute.is_dir():
         project = read_project(absolute)
         return project.configs if project is not None and project.configs.is_dir() else absolute
-    if str(folder) in installed_packages():  # Find the folder without importing the package.
+    if str(folder) in installed_packages():  # Find the package's folder without an import of the package.
         spec = importlib.util.find_spec(str(folder).split(".")[0])
         for place in spec.submodule_search_locations or () if spec is not None else ():
             for configs in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
@@ -207,14 +208,14 @@ def config_folder(folder: Path) -> Path:
 
 
 def installed_packages() -> tuple[str, ...]:
-    """Return the packages that installed distributions declare."""
-    from importlib import metadata  # This import is too slow for composing a config.
+    """Return the packages that installed distributions declare for configs."""
+    from importlib import metadata  # This import is too slow for the composition of a config.
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
 
 
-# --- packages of the projects in use, by name ---
+# --- import of packages of the projects in use ---
 
 _joined: dict[str, Project] = {}
 
@@ -226,11 +227,11 @@ def join(project: Project) -> None:
 
 
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
-    """Allow configs to call the packages of the given config folders, or of the recorded ones if none are given.
+    """Allow configs to call the packages of the given config folders; without given folders, use the recorded folders.
 
     This function is the one rule for every record: a recorded folder is used only if it exists and is the current
-    project's or trusted. All other recorded folders are ignored (see ``left_out``), because the caller may not need
-    them.
+    project's or trusted. Recorded folders that are not trusted are ignored (see ``left_out``), because the caller may
+    not need them.
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:
@@ -249,14 +250,14 @@ def own_folders(recorded: Iterable[str]) -> list[Path]:
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
-    """Return the recorded config folders that are not in ``found``, each with the reason."""
+    """Return the recorded config folders that are missing in ``found``, each with the reason for the omission."""
     used = {real_path(folder) for folder in found}
     others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
 
 
 def is_there(folder: str | Path) -> bool:
-    """Return whether a folder exists; False for a recorded name that is invalid."""
+    """Return whether a folder exists; False for an invalid name."""
     try:
         return Path(folder).is_dir()
     except OSError:  # The folder name is invalid, for example too long.
@@ -271,7 +272,7 @@ def join_folder(folder: Path) -> None:
 
 
 def forget(root: Path) -> None:
-    """Undo ``join`` for the project of a folder, and drop its imported modules."""
+    """Undo ``join`` for the project of a folder, and remove the project's modules from ``sys.modules``."""
     for package in [name for name, project in _joined.items() if project.root == root]:
         del _joined[package]
         top = package.split(".")[0]
@@ -286,7 +287,7 @@ def joined_packages() -> tuple[str, ...]:
 
 
 def project_of(package: str) -> Project | None:
-    """Return the project in use that declares a package, or the package's top."""
+    """Return the project in use that declares a package or the package's top-level package."""
     top = package.split(".")[0]
     return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 
 CACHE_KEY = "WHEELLEG_CACHE"  # environment variable
-# These folders next to a robot's MJCF contain the networks of its actuators and the file of its ground.
+# The folders next to a robot's MJCF that contain actuator networks and the terrain file.
 NETWORKS, GROUND = "networks", "ground"
-# These files from other runs contain the teacher policy and the networks that a training starts from.
+# The files from other runs that contain the teacher policy and the initial networks of a training.
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -21,7 +21,7 @@ def _locate(name: str) -> Path:
     for candidate in (_PACKAGE / name, _PACKAGE.parent / name):
         if candidate.is_dir():
             return candidate
-    raise AssetError(f"the package's '{name}' folder is missing", expected=f"{_PACKAGE / name}")
+    raise AssetError(f"the folder '{name}' of the package wheelleg_exp is missing", expected=f"{_PACKAGE / name}")
 
 
 def configs_dir() -> Path:
@@ -47,10 +47,10 @@ def cache_dir() -> Path:
 
 
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
-    """Return the file that an asset path in a config names; AssetError, with the searched paths, if it does not exist.
+    """Return the file that an asset path in a config names; a missing file raises AssetError with the searched paths.
 
-    A relative path is searched below each of the user's ``roots``, then below the stock assets. ``key`` and ``what``
-    are the config key and the kind of the file, for the message.
+    A relative path is searched below each of the user's ``roots``, then below the stock assets. ``key`` is the config
+    key, and ``what`` is the type of file, such as robot file, in the error message.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]
@@ -65,7 +65,7 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
 
 
 def show_file(file: Path, line: int | None = None) -> str:
-    """Return ``file:line``, relative to the current folder if the file is inside it."""
+    """Return ``file:line``; the path is relative if the file is inside the current folder."""
     try:
         shown = file.relative_to(Path.cwd())
     except ValueError:

@@ -1,6 +1,6 @@
 """Plain JSON, YAML, and archives: read foreign text safely, and write YAML that reads back equal.
 
-Each reader returns a value, or raises ``Unreadable`` with the reason.
+Each function that reads text returns a value, or raises ``Unreadable`` with the reason.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import yaml
 from wheelleg_exp.errors import RunDirectoryError
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# Deeper nesting is refused, because the C parser would crash the process before Python's recursion limit.
+# The deepest allowed nesting. Deeper nesting would crash the C parser before Python's recursion limit.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
 # An archive is refused if its unpacked size exceeds this factor times its packed size, plus this number of bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
-_MOST_BITS = 1023  # The largest float has this number of bits.
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # These characters can open a level of nesting.
+_MOST_BITS = 1023  # The largest integer that a float can represent has this number of bits.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # Each of these characters can start a level of nesting.
 
 
 class Unreadable(ValueError):
-    """A text is not JSON or YAML, or contains values that files of this program never contain. Lines count from 1."""
+    """A text is not valid JSON or YAML, or contains a value that this program never writes. Lines count from 1."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         super().__init__(problem)
@@ -34,7 +34,7 @@ class Unreadable(ValueError):
 
 
 def json_value(data: bytes | str) -> Any:
-    """Return the value of a JSON text without repeated keys."""
+    """Return the value of a JSON text; raise Unreadable if a key is repeated."""
     try:
         return _bounded(json.loads(data, object_pairs_hook=_without_repeats, parse_constant=_no_number))
     except json.JSONDecodeError as error:
@@ -50,7 +50,7 @@ def json_value(data: bytes | str) -> Any:
 
 
 def yaml_value(data: bytes | str) -> Any:
-    """Return the plain value of a YAML text without anchors and repeated keys."""
+    """Return the value of a YAML text as plain Python; raise Unreadable for anchors and repeated keys."""
     return _read(data, lambda: _bounded(yaml.load(data, Loader=_PlainLoader)), aliases=False)
 
 
@@ -60,12 +60,12 @@ def yaml_tree(data: bytes | str) -> yaml.Node | None:
 
 
 def require_bounded(archive: ZipFile) -> None:
-    """Raise Unreadable for a zip bomb; torch's own archives compress only code, and store numbers uncompressed."""
+    """Raise Unreadable for a zip bomb; torch's archives compress only code, and contain numbers uncompressed."""
     parts = archive.infolist()
     if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
-        raise Unreadable("the archive's unpacked size is far above its file size")
+        raise Unreadable("the archive's unpacked size is too large for its file size")
     if len({part.header_offset for part in parts}) < len(parts):
-        raise Unreadable("the parts of the archive overlap")
+        raise Unreadable("two files in the archive overlap")
 
 
 class _PlainLoader(_LOADER):
@@ -80,7 +80,7 @@ class _PlainLoader(_LOADER):
 
 def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
     try:
-        # Refuse deep nesting and aliases: all aliases, or those that expand to too many nodes.
+        # Refuse deep nesting, and refuse either all aliases or aliases that expand to too many nodes.
         raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
         if sum(map(raw.count, _OPENING)) >= _DEEPEST or b"&" in raw:
             sizes: dict[str | None, int] = {}
@@ -89,7 +89,7 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
             for event in yaml.parse(data, Loader=_LOADER):
                 line = None if event.start_mark is None else event.start_mark.line + 1
                 if isinstance(event, yaml.AliasEvent) and not aliases:
-                    raise Unreadable("the text contains references to anchors", line)
+                    raise Unreadable("the YAML text contains references to anchors", line)
                 total += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
                 if isinstance(event, yaml.CollectionStartEvent):
                     above.append((event.anchor, total))
@@ -99,7 +99,7 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
                 if len(above) > _DEEPEST:
                     raise Unreadable("the text is nested too deeply", line)
                 if total > _MOST_NODES and sizes:
-                    raise Unreadable("the references to anchors expand to too many nodes", line)
+                    raise Unreadable("the anchors of the YAML text expand to too many nodes", line)
         return read()
     except Unreadable:
         raise
@@ -108,11 +108,11 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise Unreadable(problem, mark.line + 1 if mark else None) from error
     except Exception as error:
-        raise Unreadable(f"a value cannot be read ({type(error).__name__}: {error})") from error
+        raise Unreadable(f"a value of the YAML text cannot be read ({type(error).__name__}: {error})") from error
 
 
 def _bounded(value: Any) -> Any:
-    """Return a value; Unreadable if it is nested too deeply, or has an integer that no float can represent."""
+    """Return the value; raise Unreadable if it is nested too deeply, or has an integer beyond the range of float."""
     waiting = [(value, 0)]
     while waiting:
         node, depth = waiting.pop()
@@ -121,7 +121,7 @@ def _bounded(value: Any) -> Any:
                 raise Unreadable("the text is nested too deeply")
             waiting += [(item, depth + 1) for item in (node.values() if isinstance(node, dict) else node)]
         elif isinstance(node, int) and node.bit_length() > _MOST_BITS:
-            raise Unreadable(f"the text contains an integer of {node.bit_length()} bits")
+            raise Unreadable(f"the text contains an integer of {node.bit_length()} bits, which is too large")
     return value
 
 
@@ -135,21 +135,21 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _no_number(name: str) -> Any:
-    raise Unreadable(f"{name} is not a number in JSON")
+    raise Unreadable(f"{name} is not a valid number in JSON")
 
 
 _SCALARS = (str, int, float, bool, type(None))
 
-# PyYAML reads such text as text, but YAML 1.2 readers and OmegaConf read it as a number.
+# PyYAML reads a match of this pattern as text, but YAML 1.2 readers and OmegaConf read a number.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
-# PyYAML writes these line ends unchanged between single quotes, and reads them back as a space.
+# PyYAML writes these line ends unchanged between single quotes, and reads a space instead of each line end.
 _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 
 class _PlainDumper(yaml.SafeDumper):
     def ignore_aliases(self, _: Any) -> bool:
-        return True  # Write a shared value twice, so that readers do not need to resolve anchors.
+        return True  # Write a shared value twice, so that readers of the YAML text do not need to resolve anchors.
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -164,9 +164,9 @@ _PlainDumper.add_representer(str, _represent_text)
 def dump_yaml(value: Any) -> str:
     """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
 
-    A value with anything other than mappings with text or integer keys, lists, text, numbers, booleans and None raises
-    RunDirectoryError. So do subclasses of these types (numpy scalars, enumerations, config nodes), because they would
-    be read back as another type.
+    The value can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
+    value raises RunDirectoryError. Instances of subclasses, such as numpy scalars and enumerations, also raise
+    RunDirectoryError, because YAML would not preserve their type.
     """
     require_plain(value)
     return yaml.dump(

@@ -15,7 +15,7 @@ def world_size() -> int:
 
 
 def number(name: str, default: int) -> int:
-    """Return an integer variable of torchrun; ConfigError if the variable is not a number."""
+    """Return an integer environment variable of torchrun; raise ConfigError if the variable is not a number."""
     text = os.environ.get(name, "").strip()
     if text and not text.isdigit():
         raise ConfigError(f"the variable is '{text}'", key=name, expected="a number, as torchrun sets it")
@@ -23,7 +23,7 @@ def number(name: str, default: int) -> int:
 
 
 def require_alone(what: str) -> None:
-    """Raise ConfigError if torchrun has started several processes for a job of one process."""
+    """Raise ConfigError if torchrun has started several processes for a job that needs exactly one process."""
     if world_size() > 1:
         expected = "'wheelleg train' of one run, or 'wheelleg resume'; or this command without torchrun"
         raise ConfigError(f"torchrun has started {world_size()} processes for this job", key=what, expected=expected)

@@ -1,4 +1,4 @@
-"""Exceptions from user-defined code, which must not end the program as if it had succeeded."""
+"""Convert exceptions of user-defined code that would end the program without an error."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
     """Convert an exception inside the block that would end the program to an error of ``kind``.
 
-    These are ``SystemExit`` and other exceptions that are not an ``Exception``, and a ``KeyboardInterrupt`` that
-    user-defined code raised. The error names the exception and its place in the code.
+    Examples are ``SystemExit``, and a ``KeyboardInterrupt`` that user-defined code raised. The raised error contains
+    the original exception, and the file and line of the code that raised it.
     """
     try:
         yield
@@ -35,7 +35,7 @@ def is_interrupt(error: BaseException) -> bool:
 
 
 def in_words(error: BaseException) -> str:
-    """Return the class, the message and the notes of an exception as text."""
+    """Return a text with the class, the message and the notes of an exception."""
     if isinstance(error, WheellegError):
         return str(error)
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
@@ -52,9 +52,10 @@ def place(error: BaseException) -> str | None:
 
 @contextmanager
 def importing(what: str) -> Iterator[None]:
-    """Import modules inside the block that may be user-defined, and restore the standard streams afterwards.
+    """Restore the standard streams after the block, which imports modules that may be user-defined.
 
-    An import that would end the program or has closed a standard stream raises ConfigError. Other exceptions pass.
+    An import that would end the program, or that has closed a standard stream, raises ConfigError. Other exceptions
+    pass.
     """
     streams = {"stdout": sys.stdout, "stderr": sys.stderr}
     try:

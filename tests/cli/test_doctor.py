@@ -55,13 +55,13 @@ def test_json_is_one_document(file, capsys):
     ("words", "said"),
     [
         (["nowhere.urdf"], "there is no file 'nowhere.urdf'"),
-        (["nowhere.xml"], "there is no such file"),
+        (["nowhere.xml"], "there is no such robot file"),
         (["task=nothing"], "nothing"),
         (["task=stand", "--screenshot", "picture.jpg"], "ends with .png"),
         ([], "missing"),
         (["FILE", "env.num_envs=2"], "one word too many"),
         (["FILE", "--config-dir", "docs/examples/tron1"], "--config-dir: the option applies only to a task"),
-        (["BROKEN"], "MuJoCo cannot read the file"),
+        (["BROKEN"], "MuJoCo cannot read the robot file"),
     ],
 )
 def test_wrong_input_ends_with_2(file, words, said, capsys):

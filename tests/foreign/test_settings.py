@@ -74,7 +74,7 @@ def test_no_target_outside_the_allowed_packages_is_called(trial, node, command):
 def test_no_special_key_of_hydra_gets_around_that(trial, key):
     node = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", key: True}
     trial.yaml(ENV, lambda env: env["rewards"]["base_height"].update(asset_cfg=node))
-    trial.try_("play", 2, f"Hydra's '{key}' is not supported in terms")
+    trial.try_("play", 2, f"Hydra's key '{key}' is not supported in terms")
 
 
 @pytest.mark.parametrize("command", ["play", "resume"])

@@ -1,1 +1,1 @@
-"""Anatomy of a robot (wheels, legs, stance) and measured facts, which are found by geometry, never by a name."""
+"""Find the wheels, legs, and stance of a robot, and measure the robot, by geometry and never by names."""

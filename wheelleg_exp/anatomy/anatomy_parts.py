@@ -1,6 +1,7 @@
-"""The parts of a robot as plain data in SI units, and the body tree of its compiled model.
+"""The parts of a robot, such as wheels and legs, in SI units, and the body tree of the robot's compiled model.
 
-Vectors of the parts are in the frame of the base body. Vectors of the body tree are in the world frame.
+Vectors of wheels, legs, and other parts are in the frame of the base body. Vectors of the body tree are in the world
+frame.
 """
 
 from __future__ import annotations
@@ -21,32 +22,31 @@ Side = Literal["left", "right", "middle"]
 class Wheel:
     """A wheel that can carry the robot's weight."""
 
-    joint: str  # the hinge that the wheel turns on
-    body: str  # the link that the hinge moves; ``bodies`` also has the links that are fixed to it
+    joint: str  # the name of the hinge on which the wheel turns
+    body: str  # the link that the hinge moves; ``bodies`` contains this link and all links fixed to it
     bodies: tuple[str, ...]
     axis: Vec3
-    centre: Vec3  # centre of the collider, on the hinge's ``axis`` (a unit vector), m
-    radius: float  # largest extent of the colliders across the axis, m; ``width`` is their extent along the axis
+    centre: Vec3  # the centre of the wheel's collider, on the hinge's ``axis`` (a unit vector), m
+    radius: float  # the largest extent of the colliders across the axis, m; ``width`` is the extent along the axis
     width: float
-    roundness: float  # smallest extent across the axis over the largest; 1 for a body of revolution
-    contact: Vec3  # the point that touches level ground, m
-    side: Side  # relative to the robot's middle, seen along its forward axis
-    sign: int  # +1 if positive speed rolls the robot forwards, -1 backwards, 0 if the wheel rolls another way
+    roundness: float  # the smallest extent across the axis, divided by the largest extent; 1 for a body of revolution
+    contact: Vec3  # the point of the wheel that touches level ground, m
+    side: Side  # the side of the robot's middle on which the wheel is, seen along the robot's forward axis
+    sign: int  # +1 if a positive wheel speed moves the robot forwards, -1 if backwards, 0 if in another direction
     driven: bool  # whether a motor drives the wheel; false for a caster
-    stands: bool  # whether the wheel is as low as the lowest wheel, and so carries the robot on level ground
-    steered: bool  # whether its parent joint turns without limits about an upright axis, as in a swerve drive
-    # whether the wheel is steered and trails a steering axis without motor. False for all wheels of a robot that has no
-    # other wheels.
+    stands: bool  # whether the wheel is as low as the lowest wheel and carries the robot on level ground
+    steered: bool  # whether the wheel's parent joint is an unlimited vertical hinge, as in a swerve drive
+    # whether the wheel trails a passive steering axis; false if all wheels of the robot trail one
     caster: bool
-    why: str  # the reason with its figures
+    why: str  # the reason, with figures, why the part counts as a wheel
 
 
 @dataclass(frozen=True)
 class Leg:
-    """The chain of ``joints`` from the base to one wheel, without the wheel's joint; ``passive`` joints have no motor.
+    """The chain of ``joints`` from the base to a wheel, without the wheel's joint; ``passive`` joints have no motor.
 
-    ``beside`` are joints of the same limb on no wheel's chain, usually the other half of a closed loop. ``loops`` names
-    the equality constraints that close loops in the limb.
+    ``beside`` contains joints of the limb that are not between the base and a wheel, usually one half of a closed loop.
+    ``loops`` names the equality constraints that close loops in the limb.
     """
 
     wheel: str
@@ -61,7 +61,7 @@ class MirroredPair:
     """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
     The mirror image of ``left`` at position q is ``right`` at position ``sign`` · q. ``offset`` is the distance of the
-    right joint's axis from the image of the left joint's axis, m, and ``tilt`` is the angle between them, rad.
+    right joint's axis from the mirrored axis of the left joint, m. ``tilt`` is the angle between these two axes, rad.
     """
 
     left: str
@@ -73,27 +73,26 @@ class MirroredPair:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A robot's parts at one pose."""
+    """The wheels, legs, and other parts of a robot at one pose."""
 
     base: str  # the root link
-    floating: bool  # whether the base moves freely
-    size: float  # longest edge of the box, along the base's axes, around all colliders and joints, m
-    wheels: tuple[Wheel, ...]  # in the order of the model
+    floating: bool  # whether the base can move freely in the world
+    size: float  # the longest edge of the bounding box, along the base's axes, of all colliders and joints, m
+    wheels: tuple[Wheel, ...]  # the wheels in the order of the model
     legs: tuple[Leg, ...]  # one for each wheel
-    others: tuple[str, ...]  # joints of no leg and no wheel: arms, or the legs of a robot without wheels
-    # the level direction in which the wheels roll, casters ignored; None without wheels, or if their axles are not
-    # parallel
+    others: tuple[str, ...]  # joints outside of legs and wheels, such as arms, or the legs of a robot without wheels
+    # the horizontal rolling direction of the wheels except casters; None without parallel axles
     forward: Vec3 | None
-    left: Vec3 | None  # the level direction to the left of ``forward``
+    left: Vec3 | None  # the horizontal direction to the left of ``forward``
     up: Vec3  # against gravity
-    middle: Vec3  # a point of the plane between left and right, m
-    mirrored: tuple[MirroredPair, ...]  # mirrored joints; each pair once, the left one first
+    middle: Vec3  # a point of the mirror plane between the left and right sides, m
+    mirrored: tuple[MirroredPair, ...]  # the pairs of mirrored joints, with the left joint first
     unmatched: tuple[str, ...]  # joints without a mirror image
-    # of the wheels' contacts relative to the base's origin, m (negative: below); None without wheels
+    # the height of the wheels' contacts over the base's origin, m, usually negative; None without wheels
     support_height: float | None
-    support_width: float  # between the outermost contacts across ``forward``, m
-    support_length: float  # between the outermost contacts along ``forward``, m; almost 0 on one axle
-    near: dict[str, str]  # joints that lack one property of a wheel, and which
+    support_width: float  # the distance between the outermost wheel contacts across ``forward``, m
+    support_length: float  # the distance between the outermost contacts along ``forward``, m; almost 0 on one axle
+    near: dict[str, str]  # the joints that lack one property of a wheel, with the missing property
 
     @property
     def wheel_joints(self) -> list[str]:
@@ -119,7 +118,7 @@ _OBJECT = mujoco.mjtObj
 
 @dataclass(frozen=True)
 class Tree:
-    """A robot in its compiled model at one pose, with positions and axes computed; ``base`` is the root body."""
+    """The body tree of a compiled robot at one pose, with computed positions and axes; ``base`` is the root body."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -155,7 +154,7 @@ class Tree:
         return sorted(found)
 
     def fixed_to(self, body: int) -> list[int]:
-        """Return a body and all descendants that are welded to this body."""
+        """Return a body and all descendants that are rigidly attached to this body."""
         weld = self.model.body_weldid
         return [other for other in self.below(body) if weld[other] == weld[body]]
 
@@ -191,18 +190,18 @@ class Tree:
 
     @cached_property
     def to_base(self) -> Array:
-        """The rotation from the world's axes to the base's, (3, 3)."""
+        """The rotation from the axes of the world to the axes of the base, (3, 3)."""
         rotation: Array = self.data.xmat[self.base].reshape(3, 3).T
         return rotation
 
     def point(self, world: Array) -> Array:
-        """Return a point of the world in the base's frame, m."""
+        """Convert a point from world coordinates to coordinates of the base, m."""
         found: Array = self.to_base @ (world - self.data.xpos[self.base])
         return found
 
     @cached_property
     def up(self) -> Array:
-        """The direction against gravity in the world; z without gravity."""
+        """The direction opposite to gravity in the world; the z axis if the model has no gravity."""
         gravity = self.model.opt.gravity
         size = float(np.linalg.norm(gravity))
         return -gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
@@ -212,6 +211,6 @@ def find_base(model: mujoco.MjModel) -> int:
     """Return the robot's root: the body on the world with the most joints below it; ValueError without bodies."""
     roots = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0]
     if not roots:
-        raise ValueError("the model has no bodies")
+        raise ValueError("the MuJoCo model has no robot bodies")
     joints = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
     return max(roots, key=lambda body: (int(joints[body]), -body))

@@ -1,4 +1,4 @@
-"""Extents of colliders along directions, and overlaps of bodies by MuJoCo's collision detection."""
+"""Compute the extents of colliders along directions, and find overlapping bodies with MuJoCo's collision detection."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[in
 
 
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
-    """Return the largest extent of shapes from a point, for each direction, m, (n,); -inf without shapes.
+    """Return how far shapes extend from a point in each direction, m, (n,); -inf without shapes.
 
     ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in the world frame.
     """
@@ -61,15 +61,16 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent uses the vertices instead.
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent uses the hull's vertices.
 }
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two bodies whose colliders overlap by ``depth``, the shortest motion that separates them, m; the parent is first.
+    """Two bodies whose colliders overlap by ``depth``, m, the shortest separating motion; the parent body is first.
 
-    ``neighbours`` is whether a joint connects the bodies, and ``acts`` is whether the model enables their contacts.
+    ``neighbours`` states whether a joint connects the two bodies. ``acts`` states whether the model enables contacts
+    between the two bodies.
     """
 
     bodies: tuple[str, str]
@@ -81,7 +82,7 @@ class Overlap:
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
     """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, starting with the deepest overlap.
 
-    Pairs of bodies that are welded together, or that the model excludes by name, are not returned.
+    The result omits pairs of bodies that are welded together or that the model excludes from contacts by name.
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
@@ -89,7 +90,7 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # MuJoCo also filters contacts by the bodies' compiled collision bits, which must match the changed geoms.
+    # MuJoCo also filters contacts by collision bits of the bodies, which must match the changed bits of the geoms.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     pairs = sorted(_depths(free, qpos, bodies).items(), key=lambda item: -item[1])

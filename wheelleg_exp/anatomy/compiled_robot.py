@@ -23,15 +23,16 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # A corrected default position is this share of the joint's range inside the limit.
-_OFF = 0.02  # A position from the file must be at least this share of the joint's range inside the limits.
+_INSIDE = 0.25  # The distance of a corrected default position from the joint limit, as a share of the joint's range.
+_OFF = 0.02  # The smallest distance of the file's joint position from the limits, as a share of the joint's range.
 
 
 @dataclass(frozen=True)
 class Drive:
     """The actuator of one joint: kp, N·m/rad, kd, N·m·s/rad, largest torque, N·m, and largest speed, rad/s.
 
-    The gains of a learned drive are NaN. An ``explicit`` drive computes its torque before each physics step.
+    The gains are NaN if an actuator network computes the torque. An ``explicit`` drive computes the torque before each
+    physics step.
     """
 
     group: str
@@ -51,9 +52,9 @@ class Joint:
     low: float
     high: float
     armature: float  # reflected rotor inertia, kg·m²
-    inertia: float  # of the joint's load about its axis, kg·m², without armature
-    effective: float  # inertia that a torque accelerates while all other joints are free, with armature
-    hold: float  # torque that carries the weight at rest, N·m
+    inertia: float  # the inertia of the joint's load about the joint's axis, kg·m², without armature
+    effective: float  # the inertia, with armature, that a torque accelerates while all other joints are free
+    hold: float  # the joint torque that carries the weight at rest, N·m
     drive: Drive | None  # its actuator, or None
 
     @property
@@ -64,7 +65,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Balance:
-    """A robot on one axle as an inverted pendulum.
+    """The inverted pendulum that is equivalent to a robot on one axle.
 
     The mass, kg, and the inertia about the axle, kg·m², exclude the wheels. ``height`` is the height of the centre of
     mass over the axle, m. The robot's rate of fall, rad/s, is ``pole`` if the wheels are locked to the body and roll,
@@ -80,19 +81,19 @@ class Balance:
 
 @dataclass(frozen=True)
 class RobotFacts:
-    """Facts of the whole robot: ``mass``, kg, ``gravity``, m/s², and the joints by name, in the robot's order."""
+    """Facts of the whole robot: ``mass`` in kg, ``gravity`` in m/s², and the joints by name, in the robot's order."""
 
     mass: float
     gravity: float
     joints: dict[str, Joint]
-    wheels: tuple[str, ...]  # names of the wheels' joints; ``wheel_radius`` is 0 without wheels, m
+    wheels: tuple[str, ...]  # the names of the wheels' joints; ``wheel_radius``, m, is 0 without wheels
     wheel_radius: float
-    track: float  # distance between the outermost wheels, m
-    # of the root over the ground when the lowest point of the default pose touches the ground, m
+    track: float  # the distance between the outermost wheels, m
+    # the height of the root over the ground if the lowest point of the default pose touches the ground, m
     standing_height: float
-    clearance: float  # of the lowest point over the ground at the start of episodes, m; negative inside the ground
-    friction: float  # effective coefficient between wheels and ground
-    balance: Balance | None  # None if the robot does not balance on one axle
+    clearance: float  # the height of the lowest point over the ground at the start, m; negative inside the ground
+    friction: float  # the effective friction coefficient between wheels and ground
+    balance: Balance | None  # None if the robot does not have to balance on one axle
 
     @property
     def weight(self) -> float:
@@ -101,18 +102,18 @@ class RobotFacts:
 
     @property
     def wheel_load(self) -> float:
-        """Weight per wheel, N; the whole weight without wheels."""
+        """The robot's weight per wheel, N; the whole weight without wheels."""
         return self.weight / max(1, len(self.wheels))
 
     @property
     def top_speed(self) -> float:
-        """Speed at the wheels' velocity limit, m/s; 0 without driven wheels."""
+        """The robot's speed at the velocity limit of the wheels, m/s; 0 without driven wheels."""
         speeds = [drive.velocity for name in self.wheels if (drive := self.joints[name].drive) is not None]
         return min(speeds) * self.wheel_radius if speeds else 0.0
 
 
 def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None) -> RobotFacts:
-    """Measure a robot at its default pose, in the scene that it was compiled with."""
+    """Measure a robot at its default pose, in the scene with which the robot was compiled."""
     data = at_default(model, robot)
     anatomy = anatomy or anatomy_of(model, data.qpos)
     gravity = float(np.linalg.norm(model.opt.gravity))
@@ -137,7 +138,7 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
 
 
 def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
-    """Return a robot at the start of its episodes, with all derived quantities computed."""
+    """Return MuJoCo's data of a robot at the start of an episode, with all derived quantities computed."""
     data = mujoco.MjData(model)
     if robot.floating:
         data.qpos[0:3] = robot.default_root_pos.numpy()
@@ -161,7 +162,7 @@ def _joints(
     # The torques (nv,) that hold the default pose while each wheel carries an equal share of the weight.
     hold = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
-    # The ground pushes each wheel up at its lowest point; the Jacobian's z row maps this force to joint hold.
+    # The ground pushes each wheel up at its lowest point; the Jacobian's z row maps this force to joint torques.
     for bodies in wheels:
         point = data.xpos[bodies[0]].copy()
         point[2] = lowest_point(model, data, bodies)
@@ -173,7 +174,7 @@ def _joints(
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            # Seven digits remove the rounding errors of float32.
+            # Rounding to seven digits removes the rounding errors of float32.
             kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     joints = {}
@@ -191,7 +192,7 @@ def _joints(
 def _balance(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], anatomy: Anatomy, gravity: float
 ) -> Balance | None:
-    """Return the robot as a pendulum over its axle; None if the robot has no wheels or several axles."""
+    """Return the inverted pendulum of a robot on one axle; None if the robot has no wheels or several axles."""
     if not anatomy.one_axle:
         return None
     radius = max(wheel.radius for wheel in anatomy.standing)
@@ -208,7 +209,7 @@ def _balance(
         for body in wheel_bodies
     )
     drop = mass * gravity * height
-    # The falling body rolls on its wheels, so the inertia about the ground includes the wheels.
+    # The falling robot rolls on its wheels, so the inertia about the ground contact includes the wheels.
     about_ground = inertia + 2 * mass * radius * height + mass * radius**2 + rolling
     return Balance(mass, height, inertia, math.sqrt(drop / about_ground), math.sqrt(drop / inertia))
 
@@ -226,8 +227,8 @@ def _inertia_about(model: mujoco.MjModel, data: mujoco.MjData, body: int, point:
 class CompiledRobot:
     """A robot in its compiled scene; ``data`` is at the start of episodes, with all derived quantities computed.
 
-    ``drawn`` is the anatomy in the pose that the file draws, with all joints at zero, and ``anatomy`` the anatomy at
-    the start of episodes. ``report`` is the conversion report; None for an MJCF file.
+    ``drawn`` is the anatomy in the pose of the robot file, with all joints at zero. ``anatomy`` is the anatomy at the
+    start of episodes. ``report`` is the conversion report; None for an MJCF file.
     """
 
     model: mujoco.MjModel
@@ -247,9 +248,10 @@ class CompiledRobot:
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
-    """Return a copy of a model with the limits that its URDF writes at continuous joints.
+    """Return a copy of a model with the limits that the robot's URDF specifies for continuous joints.
 
-    These limits have no effect in the original model. The last joint of a chain gets none: it can be a wheel.
+    Limits of continuous joints have no effect in the original model. The last joint of a chain gets none: it can be a
+    wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -264,8 +266,8 @@ def compiled_robot(
 ) -> tuple[CompiledRobot, RobotFacts]:
     """Return the robot of a compiled scene and the robot's measured facts.
 
-    ``driven`` are the joints that the robot's file drives, for a robot without actuators; None if the file has no
-    drives.
+    ``driven`` contains the joints with a drive in the robot file, for a robot without actuators. None means that the
+    file has no drives.
     """
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None
@@ -279,7 +281,7 @@ def compiled_robot(
 
 
 def name_expression(name: str) -> str:
-    """Return the regular expression that matches only ``name``."""
+    """Return a regular expression that matches only the text ``name``."""
     return name if re.fullmatch(r"[\w /:-]*", name) else re.escape(name)
 
 
@@ -297,7 +299,7 @@ def default_position(dof: Dof) -> float:
 
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return an ``env.robot`` section without actuators; default positions, rad (m), are by joint."""
+    """Return an ``env.robot`` section without actuators; ``positions`` maps joints to default positions, rad (m)."""
     joint_pos = {name_expression(joint): value for joint, value in positions.items()}
     state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
     settings: dict[str, Any] = {
@@ -310,9 +312,9 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
 
 
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
-    """Return which colliders are missing because of missing or damaged files, and which wheels they belong to.
+    """Return a text that names colliders and wheels whose mesh files are missing or damaged.
 
-    The text is empty if no collider is known to be missing.
+    The returned text is empty if no missing collider is known.
     """
     files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]

@@ -1,4 +1,4 @@
-"""Find wheels, legs and mirrored joints by shape and motion, not by names."""
+"""Find wheels, legs, and mirrored joints of a robot by shape and motion, not by names."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # rad; a joint with a larger range counts as unlimited
-LEVEL = 0.5  # The vertical component of a horizontal axle's direction is smaller than this.
-_ROUND = 0.9  # A wheel has at least this roundness, which is that of a hull with seven corners.
-_ROUGH = 0.6  # This roundness (of a square box) is enough for a wheel if the masses are distributed as in a wheel.
+TURNS = 3 * math.pi  # a joint with a range above this value, rad, counts as unlimited
+LEVEL = 0.5  # An axle is horizontal if the vertical component of its direction is below this value.
+_ROUND = 0.9  # The smallest roundness of a wheel, which is the roundness of a regular polygon with seven corners.
+_ROUGH = 0.6  # The smallest roundness of a wheel (that of a square) if the mass distribution is that of a wheel.
 _LOW = 0.4  # The lowest point of a wheel is below this share of the robot's height.
-_BESIDE = 0.05  # An offset of the shape from the axis above this share of the radius is an error.
+_BESIDE = 0.05  # The largest offset of a wheel's shape from the axis, as a share of the radius.
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # Two moments of inertia with a smaller relative difference count as equal.
-_CENTRED = 0.1  # A wheel's centre of mass is at most this share of its radius away from the axle.
-_HALF_TURN = math.pi  # rad; a round part with a larger range is reported as almost a wheel
+_CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the radius.
+_HALF_TURN = math.pi  # a round part with a range above this value, rad, is reported as almost a wheel
 _AROUND = 48
 
 
@@ -29,10 +29,10 @@ _AROUND = 48
 class Found:
     """A wheel's hinge and shape in the world frame, m.
 
-    The hinge ``joint`` moves ``bodies``. The ``centre`` of the colliders is on the hinge's axis. The ``radius`` is the
-    largest extent across the axis, and the ``roundness`` is the smallest extent over the largest extent. ``beside`` is
-    the distance between the hinge's axis and the axis about which the colliders are round; 0 if the colliders are not
-    round.
+    The hinge ``joint`` moves ``bodies``. ``centre`` is the colliders' centre, which is on the hinge's axis. ``radius``
+    is the largest extent of the colliders across the axis. ``roundness`` is the smallest extent across the axis,
+    divided by the largest extent. ``beside`` is the distance between the hinge's axis and the axis about which the
+    colliders are round; 0 if the colliders are not round.
     """
 
     joint: int
@@ -47,11 +47,11 @@ class Found:
 
 
 def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
-    """Return the wheels' hinges, and the joints that lack only one property of a wheel, with the missing property."""
+    """Return the hinges of wheels, and the joints that lack only one property of a wheel, with the missing property."""
     found, near = [], {}
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
-    highest = -down + _LOW * (top + down)  # maximum height of a wheel's lowest point
+    highest = -down + _LOW * (top + down)  # the maximum height of a wheel's lowest point, m
     for joint in tree.joints:
         # Whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain.
         body = int(tree.model.jnt_bodyid[joint])
@@ -90,14 +90,14 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-    # Measure the shape's extent in all directions across the axis, and along the axis.
+    # Measure the extent of the wheel's shape in all directions across the axis, and along the axis.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
     # The distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round.
-    # The support function of a circle with an offset centre is the radius plus a cosine; this is its first harmonic.
+    # An off-centre circle's support function is the radius plus a cosine, the function's first harmonic.
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     beside = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -108,7 +108,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
 
 
 def _where_its_shape_is(shape: Found) -> str:
-    """Return what is wrong with the colliders of a joint whose masses are distributed as a wheel's."""
+    """Return why a joint's colliders are not those of a wheel, for a joint with the mass distribution of a wheel."""
     if shape.beside > _BESIDE * shape.radius:
         return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
@@ -132,14 +132,14 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows are two unit vectors across the axis.
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows of the matrix are two unit vectors across the axis.
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints that an actuator of the model turns; without actuators, all joints except followers."""
+    """Return the joints that the model's actuators drive; without actuators, all joints except followers."""
     followers = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)].tolist())
     through = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     moved = {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if int(model.actuator_trntype[i]) in through}
@@ -155,7 +155,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
-    # The equality constraints between two bodies of the robot: name, bodies.
+    # The equality constraints between two bodies of the robot, as tuples of a name and two bodies.
     model, found = tree.model, []
     for index in range(model.neq):
         if int(model.eq_type[index]) not in _HOLDS:
@@ -166,7 +166,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     closures = found
-    # The connected bodies without the base, for each body that is not fixed to the base.
+    # For each body that is not fixed to the base, the set of connected bodies, without the base.
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -186,7 +186,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     return legs
 
 
-_APART = 0.15  # A mirrored joint is at most this share of the robot's size away from the mirror image.
+_APART = 0.15  # The largest distance of a joint from its partner's mirror image, as a share of the robot's size.
 _TILTED = math.radians(30)
 _MIDDLE = 0.01  # A joint nearer to the mirror plane than this share of the robot's size is in the middle.
 
@@ -196,8 +196,9 @@ def find_mirrored(
 ) -> tuple[list[MirroredPair], list[str]]:
     """Return the pairs of mirrored joints, and the joints without a mirror image.
 
-    The mirror plane has the unit normal ``left`` and contains ``middle``, m, both (3,) in the world. ``size`` is the
-    robot's size, m. ``wheels`` gives the centres of wheels, m, by joint, which are more precise than joint anchors.
+    The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
+    ``size`` is the robot's size, m. ``wheels`` maps joints to the centres of wheels, m. Wheel centres are more precise
+    than joint anchors.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
@@ -210,7 +211,7 @@ def find_mirrored(
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
                 # The angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion.
-                # A mirror M reverses rotations: the image of a rotation by q about a is a rotation by q about -M a.
+                # A mirror M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

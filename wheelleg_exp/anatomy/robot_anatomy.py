@@ -14,25 +14,25 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Sid
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
-_PARALLEL = 0.9  # At least this share of the axles must be parallel to define a direction.
+_PARALLEL = 0.9  # At least this share of the axles must be parallel to define a forward direction.
 # A wheel rolls forwards if the cosine between its rolling direction and the forward axis exceeds this value.
 _ROLLS = 0.5
-_IN_THE_MIDDLE = 0.05  # A wheel nearer to the middle than this share of the track width is a middle wheel.
+_IN_THE_MIDDLE = 0.05  # A wheel nearer to the robot's middle than this share of the track width is a middle wheel.
 _LEVEL_WITH = 0.03  # A standing wheel is at most this share of the robot's size above the lowest wheel.
-_AHEAD = 0.3  # The first component of a direction with at least this size decides the sign of the direction.
-_TRAILS = 0.1  # A caster's contact is this share of its radius or more away from its steering axis.
+_AHEAD = 0.3  # The first component of a direction with at least this absolute value decides the direction's sign.
+_TRAILS = 0.1  # The smallest distance of a caster's contact from its steering axis, as a share of the wheel radius.
 
 
 def anatomy_of(
     model: mujoco.MjModel, qpos: Array | Sequence[float] | None = None, driven: Collection[str] | None = None
 ) -> Anatomy:
-    """Find the parts of a robot at the pose ``qpos``, (nq,), by default the model's own; ValueError without bodies.
+    """Find the parts of a robot at the pose ``qpos`` (nq,), by default the model's qpos0; ValueError without bodies.
 
     A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
-    horizontal and the last joint of its chain. A wheel's colliders are round about the hinge's axis (or nearly round,
-    if the masses are distributed as a wheel's), and low enough to stand on. ``driven`` are the joints with a motor: by
-    default those with actuators in the model, or all joints if the model has none. If the robot has no actuators and
-    ``driven`` is None, casters are recognised only by geometry.
+    horizontal, and is the last joint of the kinematic chain. A wheel's colliders are round about the hinge's axis (or
+    nearly round, if the mass distribution is that of a wheel), and near the ground. ``driven`` are the joints with a
+    motor: by default those with actuators in the model, or all joints if the model has none. If the robot has no
+    actuators and ``driven`` is None, casters are recognised only by geometry.
     """
     data = mujoco.MjData(model)
     if qpos is not None:
@@ -70,7 +70,7 @@ def anatomy_of(
 
 @dataclass(frozen=True)
 class _Axles:
-    """Directions and contact points of all wheels, in the world frame, in the order of the wheels."""
+    """The directions and contact points of all wheels in the world frame, in the order of the wheels."""
 
     size: float
     forward: Array | None
@@ -84,12 +84,12 @@ class _Axles:
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    # A caster trails its passive steering hinge. If all wheels trail one, none of the wheels counts as a caster.
+    # A caster trails its passive steering hinge. If all wheels trail a steering hinge, no wheel counts as a caster.
     trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
     casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
-    # The longest edge of the box around all colliders and joints, along the base's axes, m.
+    # The longest edge of the bounding box of all colliders and joints, along the base's axes, m.
     origin, edges = tree.data.xpos[tree.base], tree.to_base
     solid = colliders(tree.model, tree.bodies)
     anchors = [tree.to_base @ (tree.data.xanchor[joint] - origin) for joint in tree.joints]
@@ -143,13 +143,13 @@ def _steering_joint(tree: Tree, wheel: int) -> int | None:
 
 
 def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
-    """Return whether a wheel's contact is off its steering axis, along its rolling direction."""
+    """Return whether a wheel's ground contact is ahead of or behind the wheel's steering axis."""
     offset = (wheel.centre - tree.data.xanchor[steering]) @ np.cross(wheel.axis, tree.up)
     return abs(float(offset)) > _TRAILS * wheel.radius
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
-    """Return the level direction across the axles, with positive x of the base if possible; None unless parallel."""
+    """Return the horizontal rolling direction, towards the base's x axis if possible; None without parallel axles."""
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
@@ -185,12 +185,12 @@ def _span(points: Sequence[Array], direction: Array | None) -> float:
 def _mirrored(
     tree: Tree, wheels: Sequence[Found], left: Array | None, size: float
 ) -> tuple[Array, list[MirroredPair], list[str]]:
-    """Match joints across the middle of the base or of the wheels, and return the better match.
+    """Match joints with mirror images across the middle of the base or of the wheels, and return the better match.
 
-    Return a point of the mirror plane in the world, m, (3,), the mirrored pairs, and the unmatched joints.
+    Return a point of the mirror plane in world coordinates, m, (3,), the mirrored pairs, and the unmatched joints.
     """
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
-    # The base's origin is often not in the middle of the robot, so the middle between the wheels is a second candidate.
+    # The base's origin is often off the robot's middle plane, so the middle between the wheels is a second candidate.
     middles = [origin]
     if wheels:
         places = [float(wheel.centre @ normal) for wheel in wheels]

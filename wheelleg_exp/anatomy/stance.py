@@ -18,16 +18,16 @@ from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limi
 
 Array = NDArray[np.float64]
 
-_STARTS = 10  # The search starts from this many random poses and from the given pose.
+_STARTS = 10  # The search for a stance starts from this many random poses and from the given pose.
 _STEPS = 40  # iterations from each start
-_MARGIN = 0.08  # Each joint's distance from its limits is at least this share of its range.
-# Legs higher or lower than these shares of the largest height get the heights _STANDS.
+_MARGIN = 0.08  # The smallest distance of a joint from its limits, as a share of the joint's range.
+# A stance above or below these shares of the largest height gets a height of _STANDS.
 _STRETCHED, _CROUCHED = 0.93, 0.35
-_STANDS = (0.8, 0.55)  # Stretched and crouched legs get these shares of the largest height.
-_CLEARANCE = 0.5  # Parts other than wheels must be this share of a wheel's radius over the ground.
-_REACH = math.pi  # rad; the search covers an unlimited joint this far in both directions
-_BALANCED = 5e-3  # A balanced mass is at most this share of the robot's size off the axle.
-_TOUCHES = 2e-3  # A touching wheel is at most this share of the robot's size above the lowest wheel.
+_STANDS = (0.8, 0.55)  # The heights that replace those of stretched and crouched legs, as shares of the largest height.
+_CLEARANCE = 0.5  # All parts except wheels must be this share of the wheel radius above the ground.
+_REACH = math.pi  # the search covers this range of an unlimited joint in both directions, rad
+_BALANCED = 5e-3  # The largest distance of a balanced centre of mass from the axle, as a share of the robot's size.
+_TOUCHES = 2e-3  # The largest height of a touching wheel above the lowest wheel, as a share of the robot's size.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
@@ -35,23 +35,23 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 class Stance:
     """A standing pose of a robot."""
 
-    positions: dict[str, float]  # positions of the legs' joints by name, rad (m)
-    height: float  # height of the hips over the wheels' centres, m; ``tallest`` is the largest height that was found
-    offset: float  # distance of the centre of mass in front of the middle of the wheels' contacts, m; negative behind
-    # pitch of the base that would remove the remaining ``offset``, rad; positive forwards down. 0 for a robot on
-    # several axles.
+    positions: dict[str, float]  # the positions of the leg joints by name, rad (m)
+    height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest height found
+    offset: float  # the distance of the centre of mass in front of the middle of the contacts, m; negative behind
+    # the base pitch that would remove ``offset``, rad, positive forwards down; 0 for a robot on several axles
     lean: float
     tallest: float
     balanced: bool  # whether ``offset`` is almost zero
-    grounded: bool  # whether every wheel of the problem touches level ground
+    grounded: bool  # whether every wheel that should stand touches level ground
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
-    """Find the standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
+    """Find a robot's standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
 
     The base keeps its orientation, and only the legs' joints move. ``mujoco.minimize`` solves a nonlinear least-squares
-    problem from several starts. The first problem requires that all wheels touch the ground. If no pose satisfies the
-    first problem, a second problem requires ground contact only of the wheels that stand at the given pose.
+    problem from several starts. The first optimisation problem requires that all wheels touch the ground. If no pose
+    satisfies the first problem, a second problem requires ground contact only of the wheels that stand at the given
+    pose.
     """
     if anatomy.forward is None:
         return None
@@ -109,7 +109,7 @@ class _Problem:
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
-        self.rest = overlap_depths(model, self.data, self.bodies)  # Overlaps of the preferred pose are allowed.
+        self.rest = overlap_depths(model, self.data, self.bodies)  # The preferred pose may have overlaps.
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -120,7 +120,7 @@ class _Problem:
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
 
     def at(self, positions: Array) -> mujoco.MjData:
-        """Return MuJoCo's data of the robot in a pose, with contacts."""
+        """Return MuJoCo's data of the robot in a pose, including contacts."""
         self.data.qpos[self.places] = positions
         mujoco.mj_fwdPosition(self.model, self.data)
         return self.data
@@ -136,11 +136,11 @@ class _Problem:
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
-        """Return the preferred pose's height, or a replacement if its legs are stretched or fully folded."""
+        """Return the height of the preferred pose, or a default height if its legs are stretched or fully folded."""
         self.at(self.preferred)
         now = self._height()
         heights = []
-        # The largest height of random poses approximates that of stretched legs, for every kind of leg.
+        # For every type of leg, the largest height among random poses approximates the height of stretched legs.
         for pose in self.random_poses(400):
             self.data.qpos[self.places] = pose
             mujoco.mj_kinematics(self.model, self.data)
@@ -151,14 +151,14 @@ class _Problem:
         self.wanted = factor * self.tallest
 
     def random_poses(self, count: int) -> list[Array]:
-        """Return poses of the legs within the limits, symmetric in left and right."""
+        """Return random leg poses within the joint limits that are mirror-symmetric."""
         poses = np.random.default_rng(0).uniform(self.low, self.high, (count, len(self.joints)))
         for left, right, sign in self.pairs:
             poses[:, right] = np.clip(sign * poses[:, left], self.low[right], self.high[right])
         return list(poses)
 
     def overlap(self) -> float:
-        """Return the largest excess over the preferred pose's overlap depths, m."""
+        """Return the largest increase of a pair's overlap depth compared with the preferred pose, m."""
         depths = overlap_depths(self.model, self.data, self.bodies)
         return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
@@ -168,7 +168,7 @@ class _Problem:
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
     def residual(self, positions: Array) -> Array:
-        """Return the weighted errors of a pose of the legs, without units."""
+        """Return the weighted errors of a leg pose, which are dimensionless."""
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
@@ -178,9 +178,9 @@ class _Problem:
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
         # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
-        # Balance has a smaller weight on several axles, because they can carry a mass that is between them.
+        # On several axles, balance has a smaller weight, because the axles can carry a mass between them.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
-        # The distance of the left wheels in front of the right wheels, m.
+        # The distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
         errors = [
             (200.0 if self.one_axle else 20.0) * self.offset() / self.size,
@@ -197,7 +197,7 @@ class _Problem:
         return np.array(errors)
 
     def _clearances(self, centres: Array) -> Array:
-        """Return the heights of the wheels' lowest points minus the mean height, m, (wheels,)."""
+        """Return the heights of the wheels' lowest points minus the mean of these heights, m, (wheels,)."""
         lows: Array = centres @ self.up - self.radii
         return lows - lows.mean()
 
@@ -205,7 +205,7 @@ class _Problem:
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
-        """Return the pose with the locally smallest cost near a start."""
+        """Return the leg pose with the locally smallest cost near a start pose."""
 
         def columns(poses: Array) -> Array:
             return np.stack([self.residual(pose) for pose in poses.T], axis=1)
@@ -216,7 +216,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return a pose with exactly symmetric legs, if the symmetry increases the cost only slightly."""
+        """Return the pose with exactly symmetric legs; return the pose unchanged if symmetry costs too much."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2
@@ -245,7 +245,7 @@ class Weight:
 
     @property
     def lean(self) -> float:
-        """Angle from the vertical to the line from the axle to the centre of mass, rad; positive to the front."""
+        """The angle from the vertical to the line from the axle to the centre of mass, rad; positive to the front."""
         return math.atan2(self.ahead, self.above)
 
 
@@ -265,7 +265,7 @@ def weight_over_axle(robot: CompiledRobot) -> Weight:
 
 
 def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
-    """Return leg positions that put the centre of mass over the axle with a level base; None if impossible."""
+    """Return leg joint positions that put the centre of mass above the axle with a level base; None if impossible."""
     model = with_written_limits(robot.model, robot.report)
     stance = solve_stance(model, robot.anatomy, robot.data.qpos)
     return stance.positions if stance is not None and stance.balanced else None

@@ -1,4 +1,4 @@
-"""Read robots from USD and URDF into a plain description, and write MJCF from it.
+"""Read a USD or URDF file into a robot description, and write the description as an MJCF file.
 
 | module | what it offers |
 |---|---|

@@ -34,8 +34,8 @@ from wheelleg_exp.terms.config_values import require_fit
 def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot file.
 
-    The section can name actuator networks and a terrain file. The keys are the paths of the copies in the MJCF's
-    folder. ``roots`` are user-defined asset folders.
+    The section can name actuator networks and a terrain file. The keys of the returned mapping are the paths of the
+    copied files in the MJCF's folder. ``roots`` are user-defined asset folders.
     """
     groups = env["robot"].get("actuators")
     named = [
@@ -79,7 +79,7 @@ class CachedConversion:
 
     @property
     def beside(self) -> tuple[Path, ...]:
-        """Actuator networks and the terrain file in the MJCF's folder."""
+        """The copies of actuator networks and of the terrain file in the MJCF's folder."""
         folders = (self.output.parent / name for name in (NETWORKS, GROUND))
         return tuple(sorted(path for folder in folders for path in folder.glob("**/*") if path.is_file()))
 
@@ -108,8 +108,8 @@ def convert_cached(
     """Convert the robot file ``source``, or return the cached conversion if no source file has changed.
 
     The cache key is a hash of every USD layer or mesh in use, the options, the converter's code, and the versions of
-    its libraries. A damaged cache entry is replaced. Several processes can call ``convert_cached`` at once. ``beside``
-    maps paths in the MJCF's folder to the files to copy there.
+    the converter's libraries. ``convert_cached`` replaces a damaged cache entry. Several processes can call
+    ``convert_cached`` at once. ``beside`` maps paths in the MJCF's folder to the files that are copied to these paths.
     """
     source, chosen = Path(source), dict(variants or {})
     sources = source_digest(source, chosen, beside)
@@ -173,7 +173,7 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
     """Rename the finished draft to the cache entry's path, unless another process has published the entry first."""
     for attempt in range(_ATTEMPTS):
         try:
-            # Renaming the draft is atomic, and fails if another process has published the cache entry first.
+            # The rename of the draft folder is atomic. It fails if another process has published the cache entry first.
             draft.rename(entry)
             return
         except OSError:

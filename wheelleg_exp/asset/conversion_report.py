@@ -55,7 +55,7 @@ def is_placeholder(value: float) -> bool:
 
 
 def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
-    """Return why a robot's mass (kg) and longest edge (m) are implausible, or an empty string.
+    """Return why a robot's mass (kg) and longest edge (m) are implausible; an empty string if they are plausible.
 
     ``lightest`` is the smallest plausible density, in kg/m³, of a cube with the edge ``size``.
     """
@@ -67,7 +67,7 @@ def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> st
 
 @dataclass(frozen=True)
 class Verdict:
-    """Quality of a conversion; the level ``check`` means that the user should read the warnings."""
+    """The quality of a conversion; the level ``check`` means that the user should read the warnings."""
 
     level: Literal["good", "check", "doubtful"]
     reasons: tuple[str, ...] = ()
@@ -77,7 +77,7 @@ MUCH = 0.1  # share of the mass
 
 
 def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
-    """Return the verdict on a conversion; ``assumed_share`` is the fraction of the robot's mass that is assumed."""
+    """Return the quality of a conversion; ``assumed_share`` is the share of the mass that the converter assumed."""
     count = Counter(item.kind for item in findings)
     gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
@@ -100,7 +100,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Mapped:
-    """A part of the robot file, and the MJCF part that the converter made from it."""
+    """An element of the robot file, and the MJCF element that the converter made from this element."""
 
     path: str
     name: str
@@ -138,9 +138,9 @@ class Report:
     """The report of one conversion.
 
     ``layers`` maps each source file of the robot to the file's sha256. ``velocity_limits`` gives each degree of
-    freedom's velocity limit in rad/s (m/s), which a controller needs and MJCF cannot express. ``values`` are the
-    numbers of the converted robot, from ``values_of``. ``authored`` are the joint numbers of the robot file, by path,
-    in the file's units.
+    freedom's velocity limit in rad/s (m/s). A controller needs these limits, but an MJCF file cannot contain them.
+    ``values`` are the numbers of the converted robot, from ``values_of``. ``authored`` maps each joint's path to the
+    joint's numbers in the robot file, in the file's units.
     """
 
     source: str
@@ -167,7 +167,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict on the conversion, from its findings and warnings."""
+        """The quality of the conversion, judged by its findings and warnings."""
         return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
 
     def to_json(self) -> str:
@@ -180,7 +180,7 @@ class Report:
         try:
             data = json_value(text)
             if data["version"] != VERSION:
-                raise ValueError(f"the report has version {data['version']}, expected {VERSION}")
+                raise ValueError(f"the conversion report has version {data['version']}, expected {VERSION}")
             fields = {name: value for name, value in data.items() if name != "verdict"}  # a computed property
             fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
             fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
@@ -190,4 +190,4 @@ class Report:
             fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))
             return Report(**fields)
         except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"a field of the report is missing or invalid: {error}") from error
+            raise ValueError(f"a field of the conversion report is missing or invalid: {error}") from error

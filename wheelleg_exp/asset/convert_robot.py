@@ -1,4 +1,4 @@
-"""Convert a USD or URDF file to an MJCF. A conversion that fails leaves the output path unchanged."""
+"""Convert a robot's USD or URDF file to an MJCF file. A conversion that fails leaves the output path unchanged."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ def convert(
 ) -> Conversion:
     """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` next to the MJCF.
 
-    The base is ``auto`` (as authored, and floating for a URDF), ``floating`` (without a fixed joint to the world), or
-    ``fixed`` (without a free joint). ``variants`` maps USD variant sets to selections. An existing output is replaced.
+    ``base`` is ``auto`` (as in the robot file; a URDF robot floats), ``floating`` (without a fixed joint to the world),
+    or ``fixed`` (without a free joint). ``variants`` maps USD variant sets to selections. An existing output is
+    replaced.
     """
     source, output = Path(source), Path(output)
     try:
@@ -92,8 +93,8 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
     """Make the first link with mass the root, in place of massless links above it such as ROS's base_footprint.
 
-    Tasks measure a robot's height, velocity, and tilt at its root. No link moves: the massless links are welded to the
-    new root at their old poses.
+    Tasks measure a robot's height, velocity, and tilt at the robot's root link. No link moves: the massless links are
+    welded to the new root at their old poses.
     """
     root = next(robot.children(None), None)
     if root is None or root.inertial.mass or not root.floating or robot.keyframes or any(root.velocity):
@@ -108,7 +109,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         return robot, report
     frame, turned = Frame.of(root.pose), list[Body]()
     for body, child in pairwise(path):
-        # Each massless link becomes the child of its former child, so the pose between both links is inverted.
+        # Each massless link becomes the child of its former child, so the pose between the two links is inverted.
         inside = Frame.of(child.pose)
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside
@@ -125,7 +126,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
-    """Return whether a file is a URDF (true) or a USD (false), by its suffix."""
+    """Return true for a URDF file and false for a USD file, judged by the file's suffix."""
     suffix, where = source.suffix.lower(), str(source)
     if suffix in URDF:
         if variants:
@@ -136,12 +137,12 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
         message = f"'{source.name}' contains xacro macros, which this converter does not expand"
         raise AssetError(message, where=where, expected="a URDF: xacro IN -o OUT.urdf")
     if suffix not in USD and source.is_file():
-        raise AssetError(f"'{source.name}' is neither USD nor URDF", where=where, expected=", ".join((*USD, *URDF)))
+        raise AssetError(f"'{source.name}' is not a USD or URDF file", where=where, expected=", ".join((*USD, *URDF)))
     return False
 
 
 def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjModel:
-    """Compile a robot's MJCF, compare the MuJoCo model with the description, and write the MJCF and its meshes."""
+    """Compile a robot's MJCF, compare the model with the robot description, and write the MJCF and the meshes."""
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(output) as folder:
@@ -193,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # The MJCF is moved last. If the draft still exists, so does the old MJCF, which needs its old meshes.
+        # The MJCF is moved last. If the draft MJCF still exists, the old MJCF is unchanged and needs its old meshes.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

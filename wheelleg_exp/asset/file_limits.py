@@ -1,6 +1,6 @@
 """Limits on the size, the references, and the memory of robot files.
 
-A file that exceeds a limit is assumed not to be a robot.
+The converter refuses a file that exceeds a limit.
 
 `bounded_memory` also limits the memory of a whole conversion, because a damaged file can declare arrays of any size.
 """
@@ -60,8 +60,8 @@ def require_plain_file(
 ) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    ``expected`` describes the file in the error message, ``key`` is the prim or element that names it, and ``where`` is
-    the file that contains this prim or element.
+    ``expected`` describes the file in the error message, ``key`` is the prim or element that names the file, and
+    ``where`` is the file that contains this prim or element.
     """
     problem = _problem_of(path, largest)
     if problem:
@@ -91,7 +91,7 @@ _open: list[tuple[int, int]] = []  # limits before each conversion
 
 @contextmanager
 def bounded_memory(source: Path) -> Iterator[None]:
-    """On Linux, limit the process's memory to 8 GiB beyond its current memory.
+    """On Linux, limit the memory of this process to 8 GiB beyond the current memory.
 
     A damaged USD crate file of a few bytes can declare an array of two thousand million numbers, and the USD library
     allocates the array before it checks the file. The memory limit applies to all threads of the process.

@@ -1,4 +1,4 @@
-"""Make the report of a conversion from the description and the ledger; find missing colliders and implausible sizes."""
+"""Make the conversion report from the robot description and records; find missing colliders and implausible sizes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
-    """Yield the mass and size of each root body with joints and colliders, as findings ``implausible_size``.
+    """Yield a finding ``implausible_size`` with the mass and size of each root body that has joints and colliders.
 
     The size is the longest edge of the bounding box of colliders and joints, along the root body's axes, at ``qpos0``.
     """
@@ -87,7 +87,7 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
 def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
     """Return the conversion report of a robot that was read from a USD or URDF file.
 
-    ``origin`` has the report's fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers``.
+    ``origin`` gives the report's fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers``.
     """
     note_colliders(robot, ledger)
     names: dict[str, str] = {}

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 def single(value: float) -> float:
     """Return the shortest decimal that is equal to ``value`` in single precision.
 
-    USD stores most physics in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425 again. The
-    change is below the precision of the USD file.
+    USD stores most physical quantities in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425
+    again. The change of the value is smaller than the precision of the USD file.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
@@ -36,9 +36,9 @@ NOISE = 1e-14  # relative error
 def rounded(value: float, scale: float | None = None) -> float:
     """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
 
-    A limit of -28.64789 degrees is -0.5000000058 rad, which becomes -0.5. The rounding error is that of single
-    precision, in which USD stores most physics. The error is relative to ``scale``, such as a vector's length, or by
-    default to ``value``.
+    For example, a limit of -28.64789 degrees is -0.5000000058 rad and becomes -0.5 rad. USD stores most physical
+    quantities in single precision, so the rounding error is that of single precision. The error is relative to
+    ``scale``, such as a vector's length, or by default to ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -107,7 +107,7 @@ class Frame:
 
     @staticmethod
     def identity() -> Frame:
-        """Return the frame without rotation and translation."""
+        """Return the identity frame, without rotation and translation."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -201,17 +201,17 @@ class Part:
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
-        """Return the part with its inertia tensor about ``center``, by the parallel-axis theorem."""
+        """Return the part with the inertia tensor about the point ``center``, by the parallel-axis theorem."""
         return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
 
 
 def parallel_axis(mass: float, offset: Array) -> Array:
-    """Return the increase of an inertia tensor (3, 3) about a point at ``offset`` (3,) from the centre of mass."""
+    """Return the increase of an inertia tensor (3, 3) if its point moves by ``offset`` (3,) from the centre of mass."""
     return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
 
 
 def combined_center(parts: Iterable[Part]) -> Array:
-    """Return the centre of mass (3,) of a body's parts; the origin if the parts have no mass."""
+    """Return the centre of mass (3,) of a body that consists of ``parts``; the origin if the parts have no mass."""
     parts = list(parts)
     total = sum(part.mass for part in parts)
     if total <= 0:
@@ -229,8 +229,8 @@ def combined_tensor(parts: Sequence[Part], mass: float, center: Array) -> Array:
 def principal(tensor: Array) -> tuple[Vec3, Quat]:
     """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
 
-    Each step of Jacobi's method rotates by at most 45° to make the largest off-diagonal element zero. PhysX uses
-    Jacobi's method too, so PhysX and this function return the moments in the same order.
+    Each step of Jacobi's method rotates by at most 45° to make the largest off-diagonal element zero. PhysX also uses
+    Jacobi's method, so PhysX and this function return the moments in equal order.
     """
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
@@ -253,8 +253,8 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
 def balanced(moments: Vec3) -> Vec3:
     """Return physically possible moments: each positive, and none larger than the sum of the other two.
 
-    MuJoCo refuses impossible moments. A moment of zero, or below 1e-9 of the largest, becomes a thousandth of the
-    largest; a moment that is too large becomes the sum of the other two moments.
+    MuJoCo refuses impossible moments. A moment below 1e-9 of the largest moment becomes a thousandth of the largest
+    moment. A moment above the sum of the other two moments becomes that sum.
     """
     largest = max(moments)
     values = [value if value > 1e-9 * largest else 1e-3 * largest for value in moments]
@@ -266,7 +266,7 @@ def balanced(moments: Vec3) -> Vec3:
 
 
 def cone(radius: float, half: float) -> Solid:
-    """Return the solid of a cone along z, its tip at ``half`` and its base at ``-half`` (m)."""
+    """Return the solid of a cone along z, with the tip at z = ``half`` and the base at z = ``-half`` (m)."""
     v, height = 2 / 3 * math.pi * radius * radius * half, 2 * half
     side = v * (3 / 20 * radius * radius + 3 / 80 * height * height)
     volume, moments = v, (side, side, v * 3 / 10 * radius * radius)

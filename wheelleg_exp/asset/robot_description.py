@@ -1,7 +1,7 @@
 """A robot as plain data: bodies, joints, shapes, and drives in SI units and radians, z up; and unique names for them.
 
 Quaternions are (w, x, y, z). This module does not know USD: a reader makes the description and the MJCF writer prints
-it. ``extra`` has attributes of MuJoCo without a field here, by MJCF name; the writer prints them unchanged.
+it. The mapping ``extra`` contains further MJCF attributes by name, which the MJCF writer prints unchanged.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ class Geom:
 class Drive:
     """A motor on one degree of freedom.
 
-    ``stiffness`` is in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), and targets in rad (m). ``effort`` is the limit
-    in N·m (N); None means unlimited. If ``acceleration`` is true, the gains are multiplied by the joint's effective
-    inertia.
+    ``stiffness`` is in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), and targets in rad (m). ``effort`` is the
+    motor's largest torque in N·m (force in N); None means unlimited. If ``acceleration`` is true, the gains are
+    multiplied by the joint's effective inertia.
     """
 
     kind: DriveKind
@@ -106,12 +106,12 @@ class Drive:
 
 @dataclass(frozen=True)
 class Dof:
-    """One degree of freedom (three for a ball) of a body in its parent, about ``axis`` through ``anchor``.
+    """One degree of freedom (three for a ball joint) of a body in its parent body, about ``axis`` through ``anchor``.
 
-    Axis and anchor (m) are in the body's frame. ``range`` is in rad (m), and None without limits; ``position`` and
-    ``velocity`` are the saved state; ``ref`` is the coordinate at which the body is at its ``pose``. ``force_range`` in
-    N·m (N) limits the sum of all motors of the joint. MuJoCo has no velocity limit: ``max_velocity`` in rad/s (m/s) is
-    stored for the controller.
+    Axis and anchor (m) are in the body's frame. ``range`` is in rad (m); None means no limits. ``position`` and
+    ``velocity`` are the saved state of the joint. ``ref`` is the joint coordinate at which the body is at its ``pose``.
+    ``force_range`` in N·m (N) limits the sum of all motors of the joint. MuJoCo has no velocity limit:
+    ``max_velocity``, in rad/s (m/s), is the joint's velocity limit for a controller.
     """
 
     name: str
@@ -165,7 +165,7 @@ class TendonPoint:
 class Tendon:
     """A length: of a path through ``points`` in m, or a sum of ``joints`` coordinates with a factor each.
 
-    ``range`` limits the length. Either ``points`` or ``joints`` is empty.
+    ``range`` limits the length. A tendon has either ``points`` or ``joints``; the other tuple is empty.
     """
 
     name: str
@@ -190,7 +190,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Site:
-    """A named frame on a body; ``extra`` has its shape, size, and colour."""
+    """A named frame on a body; ``extra`` contains the shape, size, and colour of the frame's marker."""
 
     name: str
     path: str
@@ -248,8 +248,8 @@ class Keyframe:
 class RobotDescription:
     """Everything that a simulator needs to know about a robot. ``bodies`` lists parents before their children.
 
-    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` have the
-    attributes of the MJCF elements with these names.
+    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` contain the
+    attributes of the MJCF elements ``option``, ``flag``, and ``compiler``.
     """
 
     name: str
@@ -288,7 +288,7 @@ class RobotDescription:
 
     @property
     def colliders(self) -> tuple[Geom, ...]:
-        """The colliding shapes of all bodies, without those of the world."""
+        """The colliding shapes of all bodies except the world body."""
         return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)
 
     def children(self, parent: str | None) -> Iterator[Body]:
@@ -298,18 +298,18 @@ class RobotDescription:
 
 RESERVED = frozenset({"world"})  # MuJoCo's root body
 DEEPEST = 8  # parts of a path
-LONGEST_FILE = 100  # characters; file systems allow 255 bytes
+LONGEST_FILE = 100  # the largest length of a file name in characters; file systems allow 255 bytes
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
     """Return a short name for each path: as few of its last parts, joined by ``_``, as make all names unique.
 
-    ``shown`` maps a path with an encoded last part to the original name of that part.
+    ``shown`` maps the path of each prim with an encoded name to the prim's original name.
     """
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # Each round prepends the name of one more parent to the names that still clash, so unique names stay short.
+    # Each round prepends one more parent's name to each name that is not yet unique, so unique names stay short.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]
@@ -336,7 +336,7 @@ class Numbered:
         self._next: dict[str, int] = {}
 
     def take(self, name: str) -> str:
-        """Add and return ``name``, or the first unused of ``name_2``, ``name_3`` and so on."""
+        """Add and return ``name``; if ``name`` is in use, add and return the first unused of ``name_2``, ``name_3``."""
         candidate, number = name, self._next.get(name, 2)
         while candidate in self._taken:
             candidate, number = f"{name}_{number}", number + 1

@@ -1,4 +1,4 @@
-"""Numbers of a converted robot as plain JSON, so that a script can compare them with another robot file."""
+"""Collect the numbers of a converted robot as plain JSON, so that a script can compare two robot files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _body(body: Body) -> dict[str, Any]:
         **_fields(body.pose, "position rotation"),
         "mass": inertial.mass,
         "center_of_mass": list(inertial.center_of_mass),
-        "inertia": [float(tensor[place]) for place in order],  # The order is xx, yy, zz, xy, xz, yz.
+        "inertia": [float(tensor[place]) for place in order],  # The element order is xx, yy, zz, xy, xz, yz.
     }
 
 

@@ -37,7 +37,7 @@ def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where
 
 
 def join(errors: Sequence[ConfigError]) -> ConfigError:
-    """Return one error that lists all of ``errors``. A single error is returned unchanged."""
+    """Return one ConfigError that lists all of ``errors``; a single error is returned unchanged."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)
 
 
@@ -47,7 +47,7 @@ def parts(error: ConfigError) -> list[ConfigError]:
 
 
 def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> NoReturn:
-    """Raise one error that lists all of ``errors``."""
+    """Raise one ConfigError that lists all of ``errors``."""
     raise join(errors) from cause
 
 

@@ -1,4 +1,4 @@
-"""Return the slots of the config: the type, default, bounds, and description of each key that the config accepts.
+"""Find the slot, which has the type, default, bounds, and description, of each key that the config accepts.
 
 The slot of a key comes from the code that reads the key: from the dataclass of a section, from the signature of a
 term, or from a class of rsl_rl.
@@ -31,12 +31,12 @@ _RSL_CLASS = "class_name"
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
-# The class of rsl_rl.extensions that reads each section of the algorithm without a `class_name`.
+# The class of rsl_rl.extensions that reads a section of the algorithm, for sections without a `class_name`.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
-# rsl_rl reads these keys in a section, although the constructor of the class has no such parameter.
+# rsl_rl reads these keys of a section, although the class's constructor has no parameters with these names.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# The section whose terms a parameter names, by the section of the term that has the parameter ("": any section).
+# The section whose terms a parameter names. Each key is the section of the term with the parameter ("": any section).
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
@@ -54,14 +54,14 @@ class Slot:
     """
 
     annotation: Any = Any
-    # A factory is needed, because `inspect` treats the default Parameter.empty as a missing default.
+    # The field needs a factory, because `inspect` treats the default Parameter.empty as a missing default.
     default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
 
 
 def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
-    """Return the slot of a key, set or not; None if nothing reads the key."""
+    """Return the type, default, and description of a config key; None if no code reads the key."""
     if not keys:
         return Slot(_root(tree), reader=_name(_root(tree)))
     named = slots(tree, keys[:-1])
@@ -72,13 +72,13 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     element = None if above is None else _element(above, keys[-1])
     if element is None:
         return None
-    # A term does not inherit the description of its section.
+    # A term does not inherit the description of the term's section.
     inherited = "" if section_of(keys) is not None else element.meaning
     return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 
 
 def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the slots of the keys below ``keys``; empty if any name is accepted below ``keys``."""
+    """Return the types and defaults of the subkeys of ``keys``; empty if ``keys`` accepts any subkey."""
     node = at(tree, keys)
     section = section_of(keys)
     if section is not None and isinstance(node, Mapping) and TARGET in node:
@@ -103,7 +103,7 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
 
 
 def section_of(keys: Keys) -> str | None:
-    """Return the section of the term at ``keys``; None if ``keys`` are not the keys of a term."""
+    """Return the section of the term at the config key ``keys``; None if the key is not that of a term."""
     if len(keys) == 3 and keys[0] == "env" and keys[1] in RESERVED and keys[1] != "observations":
         return keys[1]
     observation = len(keys) == 5 and keys[:2] == ("env", "observations") and keys[3] == "terms"
@@ -111,12 +111,12 @@ def section_of(keys: Keys) -> str | None:
 
 
 def term_keys(keys: Keys) -> Keys | None:
-    """Return the keys of the term that contains ``keys``; None outside a term."""
+    """Return the config key of the term that contains the key ``keys``; None if no term contains the key."""
     return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
 
 
 def named_section(section: str | None, name: str) -> str | None:
-    """Return the section whose terms a parameter names; ``section`` is that of the term with the parameter."""
+    """Return the section whose terms a parameter names; ``section`` is the section of the term with the parameter."""
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
@@ -174,7 +174,7 @@ def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspec
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the slots of the attributes of a default object, for a parameter that is not set."""
+    """Return the types and defaults of a default object's attributes, for a parameter that is not set."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
         return {}
@@ -221,7 +221,7 @@ def rsl_class(name: Any) -> Any:
 
 
 def _element(above: Slot, key: str) -> Slot | None:
-    """Return the slot of an element of a mapping or list; None if ``above`` is neither a mapping nor a list."""
+    """Return the type of an element of a mapping or list; None if ``above`` is neither a mapping nor a list."""
     element = dataclasses.replace(above, default=REQUIRED)
     for annotation in options_in(above.annotation):
         origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)

@@ -14,7 +14,7 @@ from typing import Literal
 from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
 from wheelleg_exp.terms.config_sections import Env, Section
 
-# The dataclass whose fields are the keys of each section. The dataclass is imported when it is first needed.
+# The dataclass whose fields are the keys of each section. A dataclass is imported when it is first needed.
 OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
@@ -84,7 +84,7 @@ class PlayRecording:
 
 @dataclass(frozen=True)
 class PlayRoot:
-    """The top level of a play's config: ``env`` and ``agent`` of the run, and the settings of the play."""
+    """The top level of a play's config, with ``env`` and ``agent`` of the run, and the settings of the play."""
 
     seed: Seed
     play: Play
@@ -103,7 +103,7 @@ class PipelineRoot:
 
 @dataclass(frozen=True)
 class EvaluateRoot:
-    """The top level of an evaluation's config: ``env`` and ``agent`` of the run, and the protocol."""
+    """The top level of an evaluation's config, with ``env`` and ``agent`` of the run, and the evaluation protocol."""
 
     seed: Seed
     protocol: Section
@@ -127,7 +127,7 @@ PHYSICS_RULES: tuple[str, ...] = (
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether a dataclass in ``OPTIONS`` instead of ``root`` defines the keys of the section at ``path``."""
+    """Return whether a dataclass in ``OPTIONS``, and not ``root``, defines the keys of the section at ``path``."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 

@@ -24,7 +24,7 @@ def file_text(file: Path) -> str:
 
 
 def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
-    """Yield the keys and the value of each leaf of a tree. A list or an empty mapping is one leaf."""
+    """Yield the key path and the value of each leaf of a tree. A leaf is a scalar, a list, or an empty mapping."""
     if isinstance(node, Mapping) and node:
         for key, value in node.items():
             yield from leaves(value, (*prefix, str(key)))
@@ -33,7 +33,7 @@ def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
 
 
 def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
-    """Yield the path of each mapping and leaf below ``node``."""
+    """Yield the path of each mapping and of each single value below ``node``."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             path = (*prefix, str(key))
@@ -42,7 +42,7 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
 
 
 def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
-    """Return the nested mapping with the given leaves."""
+    """Return the nested mapping that has the given values at the given key paths."""
     tree: dict[str, Any] = {}
     for keys, value in entries.items():
         node = tree
@@ -136,7 +136,7 @@ class DefaultsEntry:
 
 
 def defaults_items(file: Path) -> list[yaml.Node]:
-    """Return the nodes of a file's defaults list; empty if the file has none."""
+    """Return the YAML nodes of a file's defaults list; empty if the file has no defaults list."""
     root = yaml_node(file)
     pairs = root.value if isinstance(root, yaml.MappingNode) else []
     return [item for key, value in pairs if key.value == "defaults" for item in value.value]

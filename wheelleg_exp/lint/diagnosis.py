@@ -1,7 +1,7 @@
 """The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
 
-``doctor`` inspects the robot of a task, or a robot file with its own pose, drives, and limits on level ground. For a
-task, ``doctor`` also simulates a short trial with random actions.
+``doctor`` inspects the robot of a task, or a robot file. A robot file is inspected on level ground, with the pose,
+drives, and limits of the file. For a task, ``doctor`` also simulates a short trial with random actions.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _ENVS, _SECONDS = 32, 2.0
 
 
 def random_rewards(composed: Composed) -> Mapping[str, float]:
-    """Return the mean of each reward term with standard normal actions, by name, per second.
+    """Return each reward term's mean reward per second under standard normal actions, by name.
 
-    The means are those of a trial of two seconds in 32 environments. The config must be free of mistakes.
+    The means are measured in a simulation of two seconds in 32 environments. The config must be free of mistakes.
     """
     config = copy.deepcopy(composed.config)
     config["env"]["num_envs"] = _ENVS
@@ -55,7 +55,7 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
 
 Drives = Mapping[str, robots.Drive | None]
 _MJCF = (".xml", ".mjcf")
-_ENDLESS = 1e6  # A limit above this value in a robot file means unlimited.
+_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means unlimited.
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
@@ -116,11 +116,13 @@ def _limit(value: float | None) -> float:
 
 def _model(source: Path) -> mujoco.MjModel:
     if not source.is_file():
-        raise AssetError("there is no such file", where=str(source))
+        raise AssetError("there is no such robot file", where=str(source))
     try:
         return mujoco.MjModel.from_xml_path(str(source))
     except ValueError as error:
-        raise AssetError(f"MuJoCo cannot read the file: {' '.join(str(error).split())}", where=str(source)) from None
+        raise AssetError(
+            f"MuJoCo cannot read the robot file: {' '.join(str(error).split())}", where=str(source)
+        ) from None
 
 
 def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
@@ -132,7 +134,9 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
     for joint in np.flatnonzero(scalar).tolist():
         name = model.joint(joint).name
         if not name:
-            raise AssetError("a joint has no name", where=str(source), expected="a name for every joint and body")
+            raise AssetError(
+                "a joint of the robot has no name", where=str(source), expected="a name for every joint and body"
+            )
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.inf, math.inf)
         positions[name] = float(min(max(qpos[model.jnt_qposadr[joint]], low), high))
     start = int(model.jnt_qposadr[free[0]]) + 3 if len(free) else None
@@ -163,13 +167,13 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
     if model.actuator_forcelimited[index]:
         limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
     bias = model.actuator_biasprm[index]
-    if model.actuator_ctrllimited[index] and not bias.any():  # The control of a motor is a torque.
+    if model.actuator_ctrllimited[index] and not bias.any():  # The control input of a MuJoCo motor is a torque.
         gain = gear * float(model.actuator_gainprm[index, 0])
         limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# The order of urgency. The findings of a later rule are unreliable until those of the earlier rules are fixed.
+# The rules in order of urgency. Findings of a later rule are unreliable until findings of earlier rules are fixed.
 OF_ROBOT = (
     "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
     "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",
@@ -188,7 +192,7 @@ OF_TASK = (
 class Diagnosis:
     """The diagnosis of one robot: the findings, most urgent first, and facts worth knowing.
 
-    ``silenced`` contains the findings that the task accepts, with the reasons.
+    ``silenced`` contains the findings that the task accepts, with the reasons from the task's config.
     """
 
     subject: str
@@ -231,7 +235,7 @@ def diagnose_file(source: Path) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, its start pose, and its drives. The config must be free of mistakes."""
+    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must be free of mistakes."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]
@@ -244,13 +248,13 @@ def diagnose_task(composed: Composed) -> Diagnosis:
 
 
 def known_by(finding: Finding) -> str:
-    """Return the source of knowledge that the docstring of a rule names."""
+    """Return the source, such as a paper, that the docstring of a finding's rule cites."""
     _, _, source = " ".join(RULES[finding.rule].text.split()).partition("Source: ")
     return source.rstrip(".")
 
 
 def notes_on(case: Case) -> list[str]:
-    """Return facts about a robot that are worth knowing but are not faults."""
+    """Return remarks about a robot that are useful to the user but do not describe a fault."""
     robot = case.robot
     if robot is None:
         return []

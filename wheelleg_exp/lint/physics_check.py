@@ -26,7 +26,7 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
 @dataclass(frozen=True)
 class PhysicsReport:
-    """The report of ``check --physics`` on one config.
+    """The findings of ``check --physics`` about one config.
 
     ``reasons`` maps each silenced rule to the reason in ``check.silence``.
     """
@@ -37,17 +37,17 @@ class PhysicsReport:
 
     @property
     def open(self) -> list[Finding]:
-        """Findings of the rules that ``check.silence`` does not contain."""
+        """The findings of all rules that ``check.silence`` does not contain."""
         return [finding for finding in self.findings if finding.rule not in self.reasons]
 
     @property
     def silenced(self) -> list[Finding]:
-        """Findings of the rules that ``check.silence`` contains."""
+        """The findings of all rules that ``check.silence`` contains."""
         return [finding for finding in self.findings if finding.rule in self.reasons]
 
     @property
     def unused(self) -> list[str]:
-        """Rules in ``check.silence`` that have no finding."""
+        """The rules in ``check.silence`` that report no finding."""
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 
@@ -85,9 +85,9 @@ def examine(composed: Composed) -> PhysicsReport:
 
 
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a config, compiled as for training, and the robot's facts."""
+    """Return the robot of a config, compiled like for a training, and the measured facts about the robot."""
     env = composed.config["env"]
-    # The check only measures the model and does not simulate it.
+    # The check measures the compiled model and simulates no steps.
     env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene

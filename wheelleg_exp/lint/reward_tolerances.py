@@ -1,4 +1,4 @@
-"""Compute the value of each reward term for a robot whose error equals a stated tolerance."""
+"""Compute the value of each reward term for a robot whose error equals the tolerance of the term."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # The tolerance is this share of the height, speed, effort, or command.
-ACTION = 0.5  # The tolerated change of a raw action.
+SHARE = 0.1  # The tolerance of a reward term is this share of the height, speed, effort, or command.
+ACTION = 0.5  # The tolerance for the change of a raw action.
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -25,10 +25,11 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The reward of one term for a robot whose error equals the tolerance.
+    """The reward from one term for a robot whose error equals the tolerance of the term.
 
-    ``value`` is the value of the term at the tolerance, before weight; None if unknown. ``cost`` is the difference to
-    the value of a perfect robot. A term with ``once`` counts once per episode instead of at each control step.
+    ``value`` is the unweighted value of the term for an error equal to the tolerance; None if unknown. ``cost`` is the
+    difference between the term's value for a perfect robot and ``value``. A reward term with ``once`` is given once per
+    episode instead of at each control step.
     """
 
     term: TermView
@@ -40,7 +41,7 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The value of the term for a perfect robot, before weight."""
+        """The unweighted value of the term for a robot without any error."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
@@ -48,12 +49,12 @@ class Contribution:
         return self.weight * (self.value or 0.0) * step_dt
 
     def per_episode(self, case: Case) -> float:
-        """Return the reward of a whole episode."""
+        """Return the reward that the term gives in a whole episode."""
         return self.per_step(case.step_dt) * (1 if self.once else case.episode_steps)
 
 
 def contributions(case: Case) -> list[Contribution]:
-    """Return the contribution of every reward term of the config."""
+    """Return every reward term's contribution to the return, at the tolerance of the term."""
     return [_contribution(case, term) for term in case.terms("rewards")]
 
 

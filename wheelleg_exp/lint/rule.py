@@ -1,4 +1,4 @@
-"""The case that a rule inspects, the findings of a rule, the registry of rules, and the rounding of advice."""
+"""The config that a lint rule inspects, the rule's findings, the registry of rules, and the rounding of advice."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LIBRARY = "wheelleg_exp.mdp."
 class TermView:
     """A term of the config.
 
-    ``kind`` is the target below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``, also for an alias of the target.
-    For a target of another package, ``kind`` is the full name.
+    ``kind`` is the target's name below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. An alias has the ``kind`` of
+    the original target. For a target of another package, ``kind`` is the target's full name.
     """
 
     name: str
@@ -34,10 +34,10 @@ class TermView:
 
 @dataclass(frozen=True)
 class Case:
-    """A config without mistakes, and its robot.
+    """A config without mistakes, and the robot of the config.
 
-    ``robot`` is None if only the facts about the robot are known. ``trial`` is the mean of each reward with random
-    actions by name, per second; None without a trial.
+    ``robot`` is None if only the facts about the robot are known. ``trial`` maps each reward term to its mean reward
+    per second under random actions; None without a simulation.
     """
 
     config: Mapping[str, Any]
@@ -78,7 +78,7 @@ class Case:
         return math.ceil(round(self.episode_s / self.step_dt, 9))
 
     def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
-        """Yield the terms of a section; with ``kinds``, only terms of these kinds."""
+        """Yield the terms of a config section; if ``kinds`` is given, yield only terms with one of these targets."""
         for found, path, node in term_nodes(self.config):
             if found != section:
                 continue
@@ -120,8 +120,8 @@ def largest(pair: Any) -> float:
 class Finding:
     """One implausible number in a config, with the problem and what to do.
 
-    ``figures`` are in SI units. ``advice`` contains alternative settings, values by config key, each of which removes
-    the finding. ``where`` is the file and line, or the override, that set the key.
+    ``figures`` are in SI units. ``advice`` contains alternative mappings from config keys to values. Each mapping
+    removes the finding. ``where`` is the file and line, or the override, that set the config key.
     """
 
     key: str
@@ -133,18 +133,18 @@ class Finding:
     where: str | None = None
 
     def line(self) -> str:
-        """Return the finding on one line, with its place and the key that silences its rule."""
+        """Return the finding in one line, with its file and line and the config key that silences its rule."""
         place = f" ({self.where})" if self.where else ""
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A rule takes the case, or the case and the robot. A rule with a robot is skipped for a case without a robot.
+# A rule takes a case, or a case and a robot. A rule that takes a robot is skipped if the case has no robot.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A registered rule; ``summary`` is the first line of its docstring, ``text`` the whole docstring."""
+    """A registered lint rule; ``summary`` is the first line of the rule's docstring, and ``text`` all of it."""
 
     name: str
     summary: str
@@ -163,7 +163,7 @@ RULES: dict[str, Rule] = {}
 
 
 def rule(function: RuleFunction) -> RuleFunction:
-    """Register a rule under the name of its function, which ``check.silence`` uses."""
+    """Register a function as a lint rule; ``check.silence`` uses the name of the function."""
     name = function.__name__
     if name not in PHYSICS_RULES:
         raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
@@ -177,7 +177,7 @@ DIGITS = 2
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """Return a text with the first ``most`` names in quotes and the number of omitted names."""
+    """Return a text with the first ``most`` names in quotes, and the number of remaining names."""
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 

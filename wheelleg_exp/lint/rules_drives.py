@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
-_ARMATURE = 10.0  # The largest plausible ratio of armature to load inertia.
-_TRACTION = 10.0  # The largest plausible ratio of effort to the torque at which a wheel slips.
+_ARMATURE = 10.0  # The largest plausible ratio of a joint's armature to the inertia of the joint's load.
+_TRACTION = 10.0  # The largest plausible ratio of a wheel's effort limit to the torque at which the wheel slips.
 _PUSH = 0.1  # The wheels must push with at least this share of the robot's weight.
-_RESERVE = 1.5  # The smallest ratio of effort to the torque that holds the default pose.
+_RESERVE = 1.5  # The smallest accepted ratio of a drive's effort limit to the torque that holds the default pose.
 _SAG = 0.1  # The largest accepted position error of a leg joint that carries the robot's weight, rad.
-_SAMPLES = 5.0  # A fall's time constant must contain this many control steps.
+_SAMPLES = 5.0  # The time constant of a robot's fall must contain this many control steps.
 _IMPLICIT = ("implicit", "implicitfast")
 
 
@@ -32,11 +32,12 @@ def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> t
 
 @rule
 def armature_ratio(case: Case) -> Iterator[Finding]:
-    """An armature far beyond the inertia that it moves.
+    """The armature of a joint is far larger than the inertia of the links that the joint moves.
 
-    A rotor behind a gear of ratio n acts at the joint as n² times its inertia. For motors of legged robots, the rotor's
-    inertia at the joint is about that of the link, and rarely ten times larger. A robot with more cannot be built: it
-    is slow and stable, and its policies do not transfer. Source: MuJoCo documentation, XML reference, joint/armature.
+    A rotor behind a gear of ratio n acts at the joint like an inertia of n² times the rotor's inertia. For legged
+    robots, the rotor's inertia at the joint is about the link's inertia, and rarely ten times the link's inertia. A
+    robot with a larger armature cannot be built: it is slow and stable, and its policies do not transfer. Source:
+    MuJoCo documentation, XML reference, joint/armature.
     """
     for group, joints in _groups(case).items():
         name, joint, _, ratio = _worst(joints, lambda j, _: j.armature / j.inertia if j.inertia > 0 else 0.0)
@@ -68,10 +69,10 @@ def wheel_friction(case: Case) -> float:
 
 @rule
 def effort_against_traction(case: Case) -> Iterator[Finding]:
-    """A wheel drive with many times the torque at which its wheel slips.
+    """The effort limit of a wheel drive is many times the torque at which the wheel slips.
 
-    A wheel slips at the torque friction · load · radius. A much larger effort limit has no effect, and the motor does
-    not fit a robot of this weight. Source: Coulomb friction.
+    A wheel slips at the torque friction · load · radius. An effort limit far above the slip torque has no effect, and
+    shows that the motor does not fit the robot's weight. Source: Coulomb friction.
     """
     facts = case.facts
     for group, joints in _groups(case).items():
@@ -96,11 +97,11 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
 
 @rule
 def weak_wheels(case: Case) -> Iterator[Finding]:
-    """Wheel drives too weak or too slow to catch a robot that balances on one axle.
+    """The wheel drives are too weak or too slow to balance a robot on one axle.
 
     Wheels catch a lean if they accelerate with g times its angle: with a force below a tenth of the weight they cannot
-    catch 0.1 rad. Their rim must also be faster than 0.1 rad times the height of the mass times the rate of the fall.
-    Source: the inverted pendulum on wheels.
+    catch 0.1 rad. The wheels' rims must also be faster than 0.1 rad times the height of the mass times the rate of the
+    fall. Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -133,12 +134,13 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
 
 @rule
 def effort_against_load(case: Case) -> Iterator[Finding]:
-    """A leg drive that cannot carry the robot's weight, or sags under the weight.
+    """A leg drive cannot carry the robot's weight, or sags under the weight.
 
-    At rest a joint carries the weight on its wheel, minus the weight of the leg below. The effort limit should be 1.5
-    times the torque that holds the pose. The drive's stiffness must hold the joint within 0.1 rad of the joint's target
-    at an action of 0: the error is gravity's torque over kp, minus the action's offset. Joints of closed loops are not
-    checked, because several joints share the load. Source: statics, tau = -J^T F.
+    At rest a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The effort
+    limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must hold the
+    joint within 0.1 rad of the joint's target at an action of 0: the error is gravity's torque over kp, minus the
+    action's offset. The rule ignores joints of closed loops, because several joints of a loop share the load. Source:
+    statics, tau = -J^T F.
     """
     legs = case.robot.anatomy.legs if case.robot is not None else ()
     looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
@@ -181,19 +183,19 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 
 @rule
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
-    """Gains that are unstable at the physics step.
+    """The gains of a drive are unstable with the physics time step.
 
-    With a = kd·dt/I and b = kp·dt²/I, a drive with torques from the state before the step (explicit PD, or an
-    integrator that is not implicit) is stable for a < 2 and b < 4 - 2a; an implicitly damped drive for b < 4 + 2a. I is
-    the inertia that a torque accelerates while all other joints are free, armature included. Source: Jury's criterion
-    on semi-implicit Euler; MuJoCo documentation, Computation, "Numerical integration".
+    Let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the state before the step, is
+    stable for a < 2 and b < 4 - 2a. An implicitly damped drive is stable for b < 4 + 2a. I is the inertia, including
+    the armature, that a torque accelerates while all other joints are free. Source: Jury's criterion on semi-implicit
+    Euler; MuJoCo documentation, Computation, "Numerical integration".
     """
     dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
     for group, joints in _groups(case).items():
         name, joint, drive, _ = _worst(joints, lambda j, d: (d.damping * dt + d.stiffness * dt**2) / j.effective)
         a, b = drive.damping * dt / joint.effective, drive.stiffness * dt**2 / joint.effective
         explicit = drive.explicit or integrator not in _IMPLICIT
-        if math.isnan(b):  # A learned drive has no gains.
+        if math.isnan(b):  # An actuator network has no gains.
             continue
         if (a < 2.0 and b < 4.0 - 2.0 * a) if explicit else b < 4.0 + 2.0 * a:
             continue
@@ -208,11 +210,11 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
 
 @rule
 def control_rate(case: Case) -> Iterator[Finding]:
-    """A control rate too low to catch the fall.
+    """The control rate is too low to balance the robot.
 
-    A pendulum of rate p grows by a factor e in 1/p. A sampled controller acts one and a half control steps late on
-    average, and that delay times p should be below a third: about five control steps in 1/p. Source: Åström,
-    "Limitations on control system performance", 2000, on delay with an unstable pole.
+    The tilt of a falling pendulum with rate p grows by a factor e in the time 1/p. A sampled controller acts one and a
+    half control steps late on average, and that delay times p should be below a third: about five control steps in 1/p.
+    Source: Åström, "Limitations on control system performance", 2000, on delay with an unstable pole.
     """
     balance = case.facts.balance
     if balance is None:
@@ -234,10 +236,11 @@ def control_rate(case: Case) -> Iterator[Finding]:
 
 @rule
 def drive_bandwidth(case: Case) -> Iterator[Finding]:
-    """A drive slower than the fall that it must catch.
+    """The bandwidth of a drive is too low to balance the robot.
 
-    A position drive follows up to sqrt(kp/I), a velocity drive up to kd/I. A leg slower than the rate of the fall
-    cannot help; a wheel needs twice the rate. Source: the closed-loop poles of a PD drive on a free inertia.
+    The bandwidth of a position drive is sqrt(kp/I), and the bandwidth of a velocity drive is kd/I. A leg needs at least
+    the rate of the fall as bandwidth, and a wheel needs twice the rate of the fall. Source: the closed-loop poles of a
+    PD drive on a free inertia.
     """
     balance = case.facts.balance
     if balance is None:

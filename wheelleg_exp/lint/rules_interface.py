@@ -13,16 +13,17 @@ from wheelleg_exp.terms.term_binding import TARGET
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
 _ABSOLUTE = "actions.JointPositionAction"
 _VELOCITY = ("actions.JointVelocityAction",)
-_TINY = 0.01  # One unit of action should move a joint by at least this share of its range.
+_TINY = 0.01  # An action of 1 should move a joint by at least this share of the joint's range.
 
 
 @rule
 def action_scale(case: Case) -> Iterator[Finding]:
-    """An action whose unit is too large, too small, or has no effect.
+    """The effect of an action of 1 is too large, too small, or zero.
 
-    A policy starts with actions of about ±1. One unit should stay within the joint's limits, the drive's torque, and
-    its speed, and move at least a hundredth of the range. The drive's gain must not be 0: a position target needs
-    stiffness, and a speed target needs damping. Source: the drive's law, tau = kp (q* - q) + kd (qd* - qd).
+    At the start of training, a policy's actions are about ±1. An action of 1 should respect the joint's limits and the
+    drive's torque and speed, and should move the joint by at least a hundredth of its range. The drive's gain must not
+    be 0: a position target needs stiffness, and a speed target needs damping. Source: the drive's law, tau = kp (q* -
+    q) + kd (qd* - qd).
     """
     for term in case.terms("actions", *_POSITION, *_VELOCITY):
         joints = case.joints(term.node)
@@ -42,7 +43,7 @@ def action_scale(case: Case) -> Iterator[Finding]:
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return the problem, the hint (empty if another scale is the solution), and the figures."""
+    """Return the problem of an action's scale, the hint (empty if a new scale solves the problem), and the figures."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -71,7 +72,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the scale nearest to ``unit`` that fits every joint of a term; None if no scale fits."""
+    """Return the action scale nearest to ``unit`` that suits every joint of a term; None without such a scale."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -90,11 +91,11 @@ def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> floa
 
 @rule
 def action_clip_never_acts(case: Case) -> Iterator[Finding]:
-    """Bounds of an action's target beyond what the joint can do.
+    """The bounds of an action's target are outside the range of the joint or drive.
 
-    ``clip`` bounds the target in rad or rad/s, not the raw action. Bounds outside the joint's limits or the drive's
-    speed have no effect. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``: scale, offset, then
-    clip.
+    The parameter ``clip`` bounds the target in rad or rad/s instead of the raw action. Bounds outside the joint's
+    limits or the drive's speed have no effect. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``:
+    scale, offset, then clip.
     """
     for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
         joints = case.joints(term.node)
@@ -125,10 +126,11 @@ def _idle(term: TermView, joint: Joint, clip: Any) -> bool:
 
 @rule
 def command_reach(case: Case) -> Iterator[Finding]:
-    """A commanded velocity that the wheels cannot reach.
+    """The wheels cannot reach a commanded velocity.
 
-    The top speed is the drive's speed limit times the radius; the top yaw rate is twice that over the track. Wheels on
-    parallel axles cannot move sideways. Source: kinematics of a differential drive.
+    The top speed is the drive's speed limit times the wheel radius. The top yaw rate is twice the top speed divided by
+    the track width. A robot with wheels on parallel axles cannot move sideways. Source: kinematics of a differential
+    drive.
     """
     facts = case.facts
     if not facts.wheels or facts.top_speed == 0.0:
@@ -147,18 +149,18 @@ def command_reach(case: Case) -> Iterator[Finding]:
 
 
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
-_SMALLEST, _LARGEST = 0.01, 10.0  # The useful range of a network's inputs.
-_LOUD = 0.5  # Noise above this share of the signal's size hides the signal.
-# The parameters of a noise's size, with defaults: half-widths, or a standard deviation.
+_SMALLEST, _LARGEST = 0.01, 10.0  # The useful range of the size of a network's inputs.
+_LOUD = 0.5  # Observation noise above this share of the signal's size hides the signal.
+# The parameters for the size of noise, which are half-widths or a standard deviation, with their defaults.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
 
 @rule
 def unbounded_observation(case: Case) -> Iterator[Finding]:
-    """An observed angle without bounds, such as that of a wheel.
+    """The policy observes an unbounded angle, such as the angle of a wheel.
 
-    A joint without limits that turns at its top speed for one episode gives the largest angle in training; any longer
-    run exceeds it. Source: arithmetic; several public wheel-legged projects omit wheel angles for this reason.
+    In training, an unlimited joint turns at most at its top speed for one episode. A longer run leads to angles outside
+    the training data. Source: arithmetic; several public wheel-legged projects omit wheel angles for this reason.
     """
     for term in case.terms("observations", *_ANGLES):
         endless = {name: joint for name, joint in case.joints(term.node).items() if not joint.limited}
@@ -175,11 +177,12 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 
 @rule
 def observation_scale(case: Case) -> Iterator[Finding]:
-    """An observation whose size at the network's input is much larger or smaller than 1.
+    """The size of an observation at the network's input is much larger or much smaller than 1.
 
-    Networks are initialised for inputs of size 1. The largest value of each component, from the robot's limits and the
-    config's ranges, should be between 0.01 and 10. An actor or critic that normalises its input is exempt. Source:
-    Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
+    The initial weights of networks are chosen for inputs of size 1. The largest value of each component should be
+    between 0.01 and 10. This value follows from the robot's limits and the config's ranges. The rule ignores an actor
+    or critic that normalises its inputs. Source: Andrychowicz et al., "What matters in on-policy reinforcement
+    learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]
@@ -198,7 +201,7 @@ def observation_scale(case: Case) -> Iterator[Finding]:
 
 
 def signal_size(case: Case, term: TermView) -> float | None:
-    """Return the largest size of an observation's components before scale, in its unit; None if unknown."""
+    """Return the largest absolute value of an observation's components before scaling; None if unknown."""
     drives = [joint.drive for joint in case.joints(term.node).values() if joint.drive is not None]
     if term.kind in ("observations.projected_gravity", "observations.joint_pos_sin_cos", "observations.last_action"):
         return 1.0
@@ -221,10 +224,11 @@ def signal_size(case: Case, term: TermView) -> float | None:
 
 @rule
 def noise_against_signal(case: Case) -> Iterator[Finding]:
-    """Observation noise without effect, or noise that hides the signal.
+    """The noise of an observation has no effect, or hides the signal.
 
-    Noise acts only in groups with ``enable_corruption``. Noise of half the signal's largest size hides most of the
-    signal. Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, on corruption.
+    Observation noise has an effect only in groups with ``enable_corruption``. Noise that is half as large as the
+    largest signal hides most of the signal. Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, on
+    corruption.
     """
     for name, group in case.env["observations"].items():
         path, corrupt = f"env.observations.{name}", bool(group.get("enable_corruption", False))

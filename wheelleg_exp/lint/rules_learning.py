@@ -9,8 +9,8 @@ from typing import Any
 from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # An error must cost at least this share of a perfect robot's reward.
-_OUTWEIGHS = 4.0  # The largest plausible ratio of one cost to all rewards.
+_AUDIBLE = 0.01  # An error equal to the tolerance must cost at least this share of a perfect robot's reward.
+_OUTWEIGHS = 4.0  # The largest plausible ratio of one negative reward to the sum of all positive rewards.
 _STILL = 0.5  # A robot that does not move may earn at most this share of a tracking reward.
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
@@ -18,18 +18,18 @@ _UNIT = {"lin": "m/s", "ang": "rad/s"}
 def still_score(speed: float, std: float) -> float:
     """Return the mean of exp(-c²/std²) over commands c uniform in ±speed: the reward of standing still.
 
-    The integral is sqrt(pi)/2 · erf(V/std) · std/V.
+    The mean of exp(-v²/std²) over v in ±V is sqrt(pi)/2 · erf(V/std) · std/V.
     """
     return 1.0 if speed == 0.0 else math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
 
 
 @rule
 def tracking_std(case: Case) -> Iterator[Finding]:
-    """A tracking reward so wide that a robot that does not follow earns most of it.
+    """A tracking reward is so tolerant that a robot that ignores the command earns most of the reward.
 
-    With commands uniform in ±V, a robot that stands still earns sqrt(pi)/2 · erf(V/std) · std/V of the reward, shares
-    of standing commands excluded. If all commands are zero, a robot that drifts at one unit of wheel action must not
-    earn the reward. Source: the integral of the reward's own formula.
+    For commands uniform in ±V, a robot that stands still earns the share sqrt(pi)/2 · erf(V/std) · std/V of the reward.
+    The share excludes commands that are exactly zero. If all commands are zero, a robot that drifts with a wheel action
+    of 1 must not earn the reward. Source: the integral of the reward's own formula.
     """
     for term in tolerances.tracked(case):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
@@ -40,10 +40,11 @@ def tracking_std(case: Case) -> Iterator[Finding]:
 
 @rule
 def reward_outweighs(case: Case) -> Iterator[Finding]:
-    """A cost that outweighs all rewards under random actions, as at the start of training.
+    """Under random actions, as at the start of training, one negative reward is larger than all positive rewards.
 
-    The policy first learns to lower this cost, for example by ending the episode. Only `wheelleg doctor task=…` runs
-    this trial. Source: the mean of each term over two seconds of standard normal actions in 32 environments.
+    The policy first learns to reduce this negative reward, for example by a fall that ends the episode. Only `wheelleg
+    doctor task=…` simulates random actions. Source: the mean of each term over two seconds of standard normal actions
+    in 32 environments.
     """
     trial = case.trial or {}
     earned = sum(value for value in trial.values() if value > 0.0)
@@ -103,11 +104,11 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
 
 @rule
 def reward_too_small(case: Case) -> Iterator[Finding]:
-    """A reward term that costs almost nothing at its tolerance.
+    """An error equal to the tolerance of a reward term costs almost no reward.
 
-    Weights are multiplied by the control step, so their size alone is meaningless. If the error of a tolerance costs
-    less than 1 % of a perfect robot's reward, the term is lost in the noise of the return. Source: Isaac Lab 2.3.2,
-    ``isaaclab/managers/reward_manager.py``: value · weight · dt.
+    Reward weights are multiplied by the control time step, so the size of a weight alone is meaningless. If an error
+    equal to the tolerance costs less than 1 % of a perfect robot's reward, the noise of the return hides the term.
+    Source: Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
     found = tolerances.contributions(case)
     best = tolerances.earned_per_second(found)
@@ -127,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest weight at which a term's error costs enough; None if a larger weight only earns more."""
+    """Return the smallest weight at which a term's error costs enough; None if a larger weight only adds reward."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -136,11 +137,11 @@ def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
 
 @rule
 def falling_pays(case: Case) -> Iterator[Finding]:
-    """A failure that costs less than to continue.
+    """The robot earns more if it falls than if it continues the episode.
 
-    To continue is worth the sum of all terms at their tolerances, over the shorter of the episode and the discount's
-    horizon 1/(1 - gamma). If this is below the price of a failure, the policy learns to fall at once. Source: the
-    discounted return of PPO, Schulman et al. 2017.
+    The value of continuing is the sum of all reward terms at their tolerances. The sum covers the episode or the
+    discount's horizon 1/(1 - gamma), whichever is shorter. If the value of continuing is below the reward for a
+    failure, the policy learns to fall at once. Source: the discounted return of PPO, Schulman et al. 2017.
     """
     found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
@@ -158,21 +159,21 @@ def falling_pays(case: Case) -> Iterator[Finding]:
 
 
 def horizon_steps(case: Case) -> float:
-    """Return 1/(1 - gamma), the discount's horizon in steps; inf without discount."""
+    """Return the discount's horizon 1/(1 - gamma) in control steps; inf without discount."""
     gamma = float(case.agent["algorithm"].get("gamma", 0.99))
     return 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
 
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # The tolerance for rounding errors of 1 - gamma.
+_DUST = 1e-9  # The relative tolerance for rounding errors in 1 - gamma.
 _FALLS = 5.0  # The discount should cover this many time constants of the fall.
-_EARLY = 0.25  # Early iterations may have at most this share in a mean of weights.
+_EARLY = 0.25  # The first iterations may have at most this share in the mean of the policy's weights.
 
 
 @rule
 def ppo_batch(case: Case) -> Iterator[Finding]:
-    """A batch that is not a multiple of its mini-batches.
+    """The batch size is not a multiple of the number of mini-batches.
 
     rsl_rl cuts the batch of num_envs · num_steps_per_env samples into mini-batches of equal size and drops the
     remainder. Source: rsl_rl, ``storage/rollout_storage.py``.
@@ -188,11 +189,11 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
 
 @rule
 def discount_horizon(case: Case) -> Iterator[Finding]:
-    """A discount with a horizon longer than an episode, or shorter than a fall.
+    """The horizon of the discount is longer than an episode, or shorter than a fall.
 
-    A reward 1/(1 - gamma) steps ahead counts 1/e. With a horizon longer than the episode, the agent optimises rewards
-    that it cannot receive. With a horizon below about five time constants of the fall, the agent does not see the
-    effect of its actions. Source: the discounted return.
+    The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
+    longer than the episode, the agent optimises rewards that it cannot receive. If the horizon is below about five time
+    constants of the fall, the agent does not see the effect of its actions. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -224,11 +225,11 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 
 @rule
 def late_average(case: Case) -> Iterator[Finding]:
-    """A mean of the policy's weights that depends too much on the start of the training.
+    """The mean of the policy's weights depends too much on the start of the training.
 
-    The mean m covers all iterations during the first n iterations, and is then updated by m += (w - m) / n. After i
-    iterations, the first n iterations still have the share (1 - 1/n)^(i - n), although their weights are noise or the
-    policy of ``init_from``. Source: the weights of an exponential mean.
+    During the first n iterations, the mean m covers all iterations. Later, each iteration updates the mean by m += (w -
+    m) / n. After i iterations, the first n iterations still have the share (1 - 1/n)^(i - n) in the mean, although
+    their weights are random or those of ``init_from``. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
@@ -244,10 +245,10 @@ def late_average(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_curriculum(case: Case) -> Iterator[Finding]:
-    """A change of a reward's weight without effect, or after the end of training.
+    """A curriculum changes a reward's weight without effect, or after the end of training.
 
-    The weight changes when the counter of control steps exceeds ``num_steps``; a training takes max_iterations ·
-    num_steps_per_env of them. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
+    The weight changes when the counter of control steps exceeds ``num_steps``. A training has max_iterations ·
+    num_steps_per_env control steps. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
     """
     total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
     for term in case.terms("curriculum", "curriculums.modify_reward_weight"):
@@ -266,10 +267,10 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
 
 @rule
 def levels_out_of_reach(case: Case) -> Iterator[Finding]:
-    """Terrain levels that no robot reaches.
+    """No robot can reach the higher terrain levels.
 
-    A robot goes a level up if it ends an episode more than half a tile away from its start. In an episode of length T
-    at the largest command v, the robot moves v T. Source: Isaac Lab 2.3.2,
+    A robot goes a level up if it ends an episode more than half a tile away from its start. In an episode of length T,
+    a robot with the largest velocity command v moves by v T. Source: Isaac Lab 2.3.2,
     ``isaaclab_tasks/manager_based/locomotion/velocity/mdp/curriculums.py``, ``terrain_levels_vel``.
     """
     for term in case.terms("curriculum", "curriculums.terrain_levels_vel"):

@@ -17,24 +17,24 @@ from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # The rule reports a share of assumed mass above this value.
+_ASSUMED = 0.05  # The rule reports a robot if the share of assumed mass exceeds this value.
 _WEIGHTY = 0.01  # The inertia of links below this share of the robot's mass is irrelevant.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
-    """Return the conversion's findings of a kind; empty if the robot was not converted."""
+    """Return the conversion report's findings of one kind; empty if the robot was not converted."""
     report = case.robot.report if case.robot is not None else None
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
 
 @rule
 def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Colliders or USD layers whose files are missing or damaged.
+    """The files of colliders or USD layers are missing or damaged.
 
-    A file can be missing, damaged, or a Git LFS pointer. A wheel without its collider is treated as a joint of a leg.
-    Files of visuals are not checked. Source: the conversion report.
+    The file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing, the
+    wheel's joint is treated as a leg joint. The rule ignores missing files of visuals. Source: the conversion report.
     """
     report = robot.report
     if report is None:
@@ -48,7 +48,7 @@ def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A robot without colliders.
+    """The robot has no colliders.
 
     It falls through the ground. Source: the compiled model.
     """
@@ -61,9 +61,9 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def assumed_masses(case: Case) -> Iterator[Finding]:
-    """Masses and inertias that the file does not give, so that the converter assumed them.
+    """The robot file lacks masses or inertias, so that the converter assumed values.
 
-    Assumed masses come from volumes and a density, or are 1 kg, so the dynamics are a guess. Source: the conversion
+    An assumed mass is a volume times a density, or 1 kg, so the robot's dynamics are inaccurate. Source: the conversion
     report.
     """
     total = case.facts.mass
@@ -83,7 +83,7 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 @rule
 def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Colliders, limits, couplings, and drives of the file that the model lacks or has with other values.
+    """The model lacks colliders, limits, couplings, or drives of the robot file, or their values differ from the file.
 
     Source: the warnings of the conversion report.
     """
@@ -95,21 +95,22 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         yield Finding(_ASSET, shown, hint, {"lost": float(len(lost))})
 
 
-_LIGHT = 2.0  # The smallest density of a robot, kg/m³, in a cube as long as the robot.
+_LIGHT = 2.0  # The smallest plausible density, kg/m³, of a robot in a cube with the robot's length as edge.
 _WIDE = 1.5  # The largest possible ratio of a link's radius of gyration to its extent.
 _NARROW = 0.03  # The smallest plausible ratio of a link's radius of gyration to its extent.
 _OUTSIDE = 0.5  # A centre of mass may lie outside the shapes by this share of the link's extent.
 _TRIANGLE = 0.01  # One moment of inertia may exceed the sum of the other two by this share.
 _LOCKED = 0.02  # A joint whose range is below this value, rad, cannot move.
-_PLACEHOLDER = 50.0  # The largest plausible ratio of effort to the weight on an arm as long as the robot.
+_PLACEHOLDER = 50.0  # The largest plausible ratio of an effort limit to the robot's weight times the robot's length.
 _FAST = 200.0  # The largest plausible speed of a joint, rad/s.
 
 
 @rule
 def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A robot with a mass and size that no robot has.
+    """The robot's mass is implausible for its size.
 
-    Wrong units are the usual cause. Source: the density of a cube whose edge is the robot's longest.
+    Wrong units in the robot file are the usual cause of an implausible mass or size. Source: the density of a cube
+    whose edge is the robot's longest.
     """
     problem = size_problem(case.facts.mass, robot.anatomy.size, _LIGHT)
     if problem:
@@ -118,11 +119,11 @@ def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def link_masses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Masses and inertias that no link of its size has.
+    """The mass or inertia of a link is implausible for the size of the link.
 
-    A link's radius of gyration sqrt(I / m) cannot exceed the extent of its shapes from its centre of mass, and is not a
-    thirtieth of it. The centre of mass is in or near the shapes. No moment of inertia exceeds the sum of the other two.
-    Source: mechanics of rigid bodies.
+    A link's radius of gyration sqrt(I / m) is between a thirtieth of the link's extent and the extent itself. The
+    extent is measured from the link's centre of mass. The centre of mass of a link is inside or near the link's shapes.
+    No principal moment of inertia exceeds the sum of the other two moments. Source: mechanics of rigid bodies.
     """
     mass = case.facts.mass
     if size_problem(mass, robot.anatomy.size, _LIGHT):
@@ -171,10 +172,10 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
 
 @rule
 def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A driven leg joint without limits, or with limits that allow no motion.
+    """A driven leg joint has no limits, or its limits allow no motion.
 
-    A leg without limits can pass through the robot, and rewards for soft limits have no effect. Source: Isaac Lab
-    2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
+    A leg without joint limits can pass through the robot, and rewards for soft joint limits have no effect. Source:
+    Isaac Lab 2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
     """
     legs = [name for leg in robot.anatomy.legs for name in leg.joints if name not in leg.passive]
     free, locked = [], []
@@ -206,13 +207,14 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    A drive with an effort limit of 0 has no effect. A limit that would lift fifty times the robot on an arm as long as
-    the robot is a placeholder, and policies trained with it do not transfer. Source: statics.
+    A drive with an effort limit of 0 has no effect. An effort limit is a placeholder if the torque could lift fifty
+    times the robot's weight on an arm as long as the robot. Policies that are trained with a placeholder limit do not
+    transfer. Source: statics.
     """
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    # The joints with an effort or speed of 0 in a file without a task; a task defines its own limits.
+    # The joints whose effort or speed limit in the robot file is 0. A task replaces the limits of the file.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
     weak = [name for name in facts.joints if name in written and "task" not in case.config]

@@ -18,7 +18,7 @@ from wheelleg_exp.sim.names import match_names
 
 _ASSET = "env.robot.asset"
 _TOUCHES = 2e-3  # Soft contacts allow overlaps below this share of the robot's size.
-_DEEP = 0.25  # Links with a common joint may overlap by this share of the robot's size.
+_DEEP = 0.25  # Two links that a joint connects may overlap by this share of the robot's size.
 _STANDS = 5e-3  # A body this near to the lowest point, as a share of the robot's size, touches the ground.
 _BUMP = 0.05  # The radius of a wheel may vary by this share around its rim.
 _UNEQUAL = 0.02  # The radii of the left and right wheels may differ by this share.
@@ -27,11 +27,12 @@ _SHOWN = 4  # pairs in one message
 
 @rule
 def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Bodies that overlap at the start and can push each other apart.
+    """Two bodies overlap at the start and can push each other apart.
 
-    The contact force throws the bodies apart in the first step. MuJoCo disables contacts between bodies that a joint
-    connects, so these count only if they overlap by a quarter of the robot. Source: MuJoCo's own collision detection at
-    the default pose; MuJoCo documentation, Computation, "Collision detection", on which pairs are checked.
+    The contact force throws overlapping bodies apart in the first step. MuJoCo disables contacts between two bodies
+    that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's size.
+    Source: MuJoCo's own collision detection at the default pose; MuJoCo documentation, Computation, "Collision
+    detection", on which pairs are checked.
     """
     size = robot.anatomy.size
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
@@ -54,10 +55,10 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A contact termination on a body that touches something at the start.
+    """A contact termination concerns a body that touches the ground or another body at the start.
 
-    The body is as low as the robot's lowest point, or inside another body. Every episode ends within its first steps,
-    and the policy learns nothing. Source: kinematics of the default pose.
+    The rule reports a body that is as low as the robot's lowest point, or inside another body. The contact ends every
+    episode within the first steps, and the policy learns nothing. Source: kinematics of the default pose.
     """
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
@@ -79,10 +80,11 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A wheel that is not round, differs from the other side's, is held by limits, or has no collider.
+    """A wheel is not round, differs from the opposite wheel, is blocked by joint limits, or has no collider.
 
-    The radius of the colliders is measured at all angles around the axle. A box or a coarse hull rolls in bumps; wheels
-    of different radii make the robot lean or turn. Source: the support function of the shapes.
+    The rule measures the radius of a wheel's colliders at all angles around the axle. A box or a coarse hull does not
+    roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support function of the
+    shapes.
     """
     for name, why in robot.anatomy.near.items():
         yield Finding(
@@ -108,19 +110,20 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
 
 
 _LEAN = 0.06  # A policy easily corrects a lean below this value, rad.
-_DRAWN_LEAN = 0.17  # The allowed lean of the pose in a robot file, rad, because nobody has chosen that pose.
-_EDGE = 0.1  # The smallest distance from the ends of the support, as a share of the support's length.
+_DRAWN_LEAN = 0.17  # The allowed lean in the pose of a robot file, rad, which nobody has chosen for balance.
+_EDGE = 0.1  # The smallest distance of the centre of mass from an end of the support, as a share of its length.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
 
 @rule
 def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A centre of mass that is not over the wheels at the start.
+    """The centre of mass is not above the wheels at the start.
 
-    On one axle the robot starts to fall at once, faster with a larger lean. It balances if the mass above the axle is
-    straight over the axle. The pose in the hint is solved from the kinematics. On several axles the centre of mass must
-    be between the outermost contacts. Source: statics of the inverted pendulum.
+    A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
+    of mass of the parts above the axle is vertically above the axle. The rule solves the kinematics for the balanced
+    pose in its hint. On several axles, the robot's centre of mass must be between the outermost wheel contacts. Source:
+    statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
         return
@@ -164,10 +167,10 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Wheels that do not roll along the base's x, or not in one direction.
+    """The wheels do not roll along the base's x axis, or do not roll in one common direction.
 
-    In commands, rewards, and observations x is forwards. Source: Isaac Lab's convention, ROS REP 103; the directions of
-    the axles.
+    In commands, rewards, and observations, the base's x axis points forwards. Source: Isaac Lab's convention, ROS REP
+    103; the directions of the axles.
     """
     if not robot.anatomy.wheels:
         return
@@ -213,10 +216,11 @@ _MOST = 4  # findings of one kind
 
 @rule
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Left and right wheel joints with opposite signs, although the joints of the legs have equal signs.
+    """Left and right wheel joints have opposite signs, although the leg joints of both sides have equal signs.
 
-    One unit of action then drives one side forwards and the other one backwards. If every joint of one side has the
-    opposite sign, this is the file's convention and not reported. Source: kinematics, v = omega x r.
+    If the signs are opposite, an action of 1 drives one wheel forwards and the opposite wheel backwards. If all joints
+    of one side have the opposite sign, the sign is a convention of the robot file, and the rule reports nothing.
+    Source: kinematics, v = omega x r.
     """
     anatomy = robot.drawn
     signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
@@ -232,7 +236,7 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
-    """Return whether the last joints of two legs about the wheels' axle have equal signs, or no such joints exist."""
+    """Return whether the lowest pitch joints of two legs have equal signs; true if a leg has no pitch joint."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
@@ -263,10 +267,10 @@ def _way(sign: int) -> str:
 
 @rule
 def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Left and right legs that are not mirror images in place, mass, centre of mass, or limits.
+    """Left and right legs are not mirror images in position, mass, centre of mass, or limits.
 
-    A robot that should be symmetric drifts to one side, and rewards of symmetry cannot be met. Source: the image of
-    each joint and link in the plane between the sides, in the pose that the file draws.
+    An asymmetric robot drifts to one side, and cannot satisfy rewards for symmetry. Source: the image of each joint and
+    link in the plane between the sides, in the pose that the file draws.
     """
     if robot.drawn.left is None:
         return
@@ -343,7 +347,7 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
 
 @rule
 def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """An asymmetric default pose of a symmetric robot.
+    """The default pose of a symmetric robot is asymmetric.
 
     The usual cause is a sign: joints of two sides with opposite signs need positions of opposite signs. Source: the
     mirrored axes of the joints.

@@ -1,6 +1,6 @@
 """Create a user's project: write a draft, check the draft, and move it to its place.
 
-The name of a project is also the name of its folder, its Python package, its task, and its robot.
+The name of a project is also the name of the project's folder, Python package, task, and robot.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from wheelleg_exp.project.task_yaml import config_files
 
 _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
-# YAML or the grammar of overrides treats these words as values.
+# These words cannot be project names, because YAML or Hydra's override grammar treats the words as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# These names have another meaning in a project, in pytest, or in pip.
+# These names cannot be project names, because they have a different meaning in a project, in pytest, or in pip.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
 _EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 
@@ -44,7 +44,7 @@ class NameTaken(WheellegError):
 
 
 def require_name(name: str) -> None:
-    """Raise NameTaken unless ``name`` is a valid project name. The error suggests a valid name."""
+    """Raise NameTaken unless ``name`` is a valid project name. The error message suggests a valid project name."""
     problem = _problem(name)
     if problem is not None:
         raise NameTaken(problem, key=name or "NAME", expected=_EXPECTED, nearest=_nearest(name))
@@ -80,7 +80,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_NEVER_SILENCED = ("missing_files", "robot_size")  # A finding of robot_size means that the file has a wrong unit.
+_NEVER_SILENCED = ("missing_files", "robot_size")  # robot_size means that the robot file has a wrong unit.
 _PURPOSES = {
     "action": "the effect of one unit of action",
     "observation": "positions of the legs",
@@ -90,7 +90,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return the texts of a project by path; ``asset`` and ``configs`` are relative to its asset and config folders."""
+    """Return the texts of a project's files by path; ``asset`` and ``configs`` are relative to their folders."""
     groups = {file: file.split("/")[0] for file in configs}
     rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
@@ -106,7 +106,7 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
 
 
 def write(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write texts to files below a folder."""
+    """Write texts, given by relative path, to files below a folder."""
     for file, text in texts.items():
         path = folder / file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True)
 class Created:
-    """A new project at ``path``. ``accepted`` contains the findings that the task silences, by rule."""
+    """A new project at ``path``. ``accepted`` maps each silenced rule to the finding that the task accepts."""
 
     path: Path
     name: str
@@ -125,22 +125,24 @@ class Created:
 
 
 def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
-    """Create a project in the new folder ``place``, whose last part is the name of the project.
+    """Create a project in the new folder ``place``; the folder's name is the name of the project.
 
-    ``source`` is the robot's USD or URDF file, by default the file of the stock robot. With ``allow_missing``,
-    colliders whose files are missing are accepted. An invalid name, place, or robot file raises WheellegError, and no
-    file remains.
+    ``source`` is the robot's USD or URDF file, by default the file of the stock robot. If ``allow_missing`` is true,
+    missing files of colliders are accepted. An invalid name, place, or robot file raises WheellegError, and the partly
+    created project is removed.
     """
     path = Path(place).expanduser().absolute()
     name = path.name
     require_name(name)
     _require_free(path)
     if not path.parent.is_dir():
-        raise NameTaken("there is no such folder", key=str(path.parent))
+        raise NameTaken("there is no such parent folder", key=str(path.parent))
     home = configs_dir().parent
     if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
         beside = Path(os.path.relpath(home.parent / path.name))
-        raise NameTaken("a project cannot be inside wheelleg_exp itself", key=str(path), nearest=str(beside))
+        raise NameTaken(
+            "a project cannot be inside the package wheelleg_exp itself", key=str(path), nearest=str(beside)
+        )
     if source is not None and not source.is_file():
         folder = source.absolute().parent
         names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
@@ -161,14 +163,16 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
 
 def _require_free(path: Path) -> None:
     if os.path.lexists(path):
-        raise NameTaken("the folder exists already, and no file is overwritten", key=str(path), expected="a new name")
+        raise NameTaken(
+            "the project folder exists already, and no file is overwritten", key=str(path), expected="a new name"
+        )
 
 
 def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    # Copy and survey a robot. An error names the file of the user, not the copy.
+    # Copy and measure a robot. In an error message, the path of the user's file replaces the path of the copy.
     folder = draft / "assets" / name
     try:
         robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
@@ -186,7 +190,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        # Silence the findings of `wheelleg check --physics` in the task file, with the message as the reason.
+        # Silence the findings of `wheelleg check --physics` in the task file. The finding's message becomes the reason.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}

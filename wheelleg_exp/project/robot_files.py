@@ -1,4 +1,4 @@
-"""Copy a robot's file and all files that the robot's file names."""
+"""Copy a robot file and all files to which the robot file refers."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 
 
 def copy_robot(source: Path, folder: Path) -> Path:
-    """Copy a robot's file, and every layer, texture, or mesh that the file names, to ``folder``.
+    """Copy a robot file, and every layer, texture, or mesh to which the file refers, to ``folder``.
 
-    Files in the folder of the source keep their relative path. Other files are copied below ``folder`` too, and the
-    copy of the source, which is returned, names the new paths.
+    Files in the source's folder keep their relative paths in the copy. Files outside of the source's folder are also
+    copied to ``folder``, and the copied robot file refers to the new paths. The function returns the path of the copied
+    robot file.
     """
     folder.mkdir(parents=True)
     return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)
@@ -42,7 +43,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {file.resolve() for file in files if file.is_file()}
         if _copied_in_place(source, files, folder):
             return folder / source.name
-        # Copy a stage and files outside its folder. The USD library rewrites the paths in the copy.
+        # Copy a USD stage and all files outside of the stage's folder. The USD library rewrites the paths in the copy.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
         if not done or not (folder / source.name).is_file():
             message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
@@ -53,7 +54,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
 def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
     """Return a filter for the USD library that selects the layers, textures, and materials of a robot.
 
-    A robot file that names ``/etc/passwd`` therefore gets no copy of that file.
+    Therefore, if a robot file refers to ``/etc/passwd``, this file is not copied.
     """
     from pxr import UsdUtils
 
@@ -92,14 +93,14 @@ def _asset_paths(layer: Sdf.Layer) -> set[str]:
 
 
 def _is_look(file: Path) -> bool:
-    """Return whether a path is a texture or a material, or the pattern of several such files."""
+    """Return whether a path is a texture or a material, or a pattern that matches several textures or materials."""
     if file.suffix.lower() not in LOOKS:
         return False
     return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
 
 
 def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
-    """Copy the robot's files if all of them are below the source's folder. Otherwise return False."""
+    """Copy the robot's files if all files are below the source's folder. Otherwise return False."""
     home = source.resolve().parent
     if not all(file.is_relative_to(home) for file in files):
         return False
@@ -137,7 +138,7 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
 
 
 def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return the relative path of a mesh that the URDF names by this path; None if the name must be rewritten."""
+    """Return a mesh's relative path if the URDF uses this path for the mesh; None if the path must change."""
     plain = Path(os.path.normpath(name))
     if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
         return None

@@ -1,6 +1,7 @@
-"""Write a project's robot YAML from measurements.
+"""Write the robot YAML file of a project from measurements of the robot.
 
-Gains and limits come from the robot's file. Missing gains and limits are estimated from the inertias.
+The gains and limits of the drives are taken from the robot file. Missing gains and limits are estimated from the
+inertias of the links.
 """
 
 from __future__ import annotations
@@ -21,30 +22,29 @@ _WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
 _LEG_RATE = 2 * math.pi * 3  # The bandwidth of a leg joint, rad/s.
 _DAMPING_RATIO = 0.7
 _SAG = 0.05  # The largest position error of a leg joint that carries the robot's weight, rad or m.
-_STRENGTH = 3.0  # The ratio of the effort to the torque that holds the pose.
-_LEVER = 0.25  # The weight acts at a lever of at least this share of the leg's length.
-_BENDS = 0.35  # A leg whose static error exceeds this value, rad or m, buckles.
-# The largest ratio of the torque at an error of 0.05 rad to the effort. A drive above this ratio saturates at small
-# errors.
+_STRENGTH = 3.0  # The ratio of a leg drive's effort limit to the torque that holds the pose.
+_LEVER = 0.25  # For estimated gains, the weight acts at a lever of at least this share of the leg's length.
+_BENDS = 0.35  # A leg buckles if the static position error of a joint exceeds this value, rad or m.
+# The largest ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
 _FULL = 4.0
-_SLIPS = 5.0  # An effort limit beyond this multiple of the slip torque is a placeholder.
+_SLIPS = 5.0  # An effort limit above this multiple of the torque at which the wheel slips is a placeholder.
 _FAST = 100.0  # A speed limit above this value, rad/s, is a placeholder.
-_WEAK = 0.3  # The smallest ratio of the effort to the torque that holds the weight at the smallest lever.
+_WEAK = 0.3  # The smallest ratio of an effort limit to the torque that holds the weight at the smallest lever.
 _STEP = 0.005  # The physics time step of the task, s.
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
-_TRACTION = 1.5  # The ratio of a wheel's effort to the torque at which the wheel slips.
+_TRACTION = 1.5  # The ratio of a wheel's effort limit to the torque at which the wheel slips.
 _GROUND_SPEED = 2.0  # m/s
-_ENDLESS = 1e6  # A limit above this value in a robot file means unlimited.
+_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means unlimited.
 
 
 @dataclass(frozen=True)
 class Gains:
-    """The numbers of an actuator group, by joint.
+    """The gains and limits of an actuator group, by joint.
 
     Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
-    contains the names of the quantities that come from the robot's file. ``refused`` lists unusable values of the file,
-    with the reasons.
+    contains the names of the quantities that were taken from the robot file. ``refused`` lists unusable values of the
+    robot file, with the reasons.
     """
 
     stiffness: dict[str, float]
@@ -56,12 +56,12 @@ class Gains:
 
 
 def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
-    """Return the gains of position-controlled joints, by default of the leg joints.
+    """Return the gains of position-controlled joints, which are the leg joints by default.
 
     If the file has no usable drive, the stiffness gives a bandwidth of 3 Hz and a static error of at most 0.05 rad
-    under the weight. The damping ratio is then 0.7 under load, and the effort is three times the torque that carries
-    the weight. A stiffness of the file is refused if the weight would bend the joint by more than 0.35 rad, or if the
-    drive would be unstable at the physics step.
+    under the weight. For these joints the damping ratio under load is 0.7, and the effort limit is three times the
+    torque that carries the weight. A stiffness from the robot file is refused if the weight would bend the joint by
+    more than 0.35 rad, or if the drive would be unstable with the physics time step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
@@ -106,9 +106,9 @@ class _Load:
     """The load of a leg joint.
 
     ``inertia`` (kg·m²) is the inertia that a torque accelerates while all other joints are free. ``carried`` (kg·m²) is
-    the inertia of the joint's share of the robot. ``holds_now`` (N·m) is the torque that holds the default pose,
-    ``hold`` (N·m) the torque at a lever of at least a quarter of the leg's length. ``stiffest`` (N·m/rad) is a stable
-    stiffness: with it, an undamped joint turns by one radian per step.
+    the inertia of the part of the robot that the joint carries. ``holds_now`` (N·m) is the torque that holds the
+    default pose, ``hold`` (N·m) the torque at a lever of at least a quarter of the leg's length. ``stiffest`` (N·m/rad)
+    is a stable stiffness: with it, an undamped joint turns by one radian per step.
     """
 
     inertia: float
@@ -130,10 +130,10 @@ def _load(robot: Survey, name: str) -> _Load:
 
 
 def wheel_gains(robot: Survey) -> Gains:
-    """Return the gains of the wheels, whose stiffness is 0 because wheels follow speeds.
+    """Return the gains of the wheels; the stiffness is 0, because wheels follow speed targets.
 
-    Without a usable drive in the file, the damping accelerates the wheel's share of the robot in 0.1 s, the effort is
-    1.5 times the torque at which the wheel slips, and the velocity is 2 m/s on the ground.
+    If the file has no usable drive, the damping gives a speed response with a time constant of 0.1 s. The effort limit
+    is 1.5 times the torque at which the wheel slips, and the velocity limit is 2 m/s on the ground.
     """
     facts, count = robot.facts, max(1, len(robot.wheels))
     share = facts.mass / count * robot.radius**2
@@ -161,7 +161,7 @@ def wheel_gains(robot: Survey) -> Gains:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return a value for each joint, equal on both sides, and whether the file contains all values."""
+    """Return a value for each joint, equal on the left and right, and whether the robot file contains all values."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -180,7 +180,7 @@ def _damping(dof: Dof) -> float | None:
 
 
 def _speed_gain(dof: Dof) -> float | None:
-    """Return the damping of a velocity drive; None for a position drive, whose damping has another purpose."""
+    """Return the damping of a velocity drive; None for a position drive, whose damping is no speed gain."""
     drive = dof.drive
     return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
 
@@ -197,11 +197,11 @@ def _velocity(dof: Dof) -> float | None:
 
 
 _TOUCH = "whether the robot's own bodies can touch; null means as in the asset"
-_HEIGHT_STEP = 1e-4  # The height (m) is rounded up, so that no part starts inside the ground.
+_HEIGHT_STEP = 1e-4  # The start height (m) is rounded up, so that no part of the robot starts inside the ground.
 
 
 def robot_yaml(name: str, asset: str, robot: Survey) -> str:
-    """Return the text of ``robot/<name>.yaml``; ``asset`` is the robot's file, relative to the project's assets."""
+    """Return the text of ``robot/<name>.yaml``; ``asset`` is the robot file's path in the asset folder."""
     facts = robot.facts
     rotation = ", ".join(number(part, 6) for part in robot.rotation)
     moved = {joint: value for joint, value in robot.positions.items() if value != 0.0}
@@ -309,7 +309,7 @@ def _group(name: str, joints: list[str], gains: Gains) -> str:
 def number(value: float, digits: int = 4) -> str:
     """Return the text of a number with few significant digits, which YAML reads as a float."""
     if not math.isfinite(value):
-        raise ValueError(f"{value} is not a finite number")
+        raise ValueError(f"the value {value} of the robot is not a finite number")
     text = repr(float(f"{value:.{digits}g}"))
     return text if "." in text else text.replace("e", ".0e")
 
@@ -323,7 +323,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``indent`` is the indentation of further lines, and ``used`` is the number of characters before the list.
+    ``indent`` is the indentation of the second and later lines. ``used`` is the number of characters before the list.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

@@ -35,7 +35,7 @@ from wheelleg_exp.sim.robot import Robot
 Quaternion = tuple[float, float, float, float]
 Array = NDArray[np.float64]
 
-_ALONG = math.cos(math.radians(15))  # Axes within 15 degrees count as equal.
+_ALONG = math.cos(math.radians(15))  # Two axes count as equal if the angle between the axes is below 15 degrees.
 _LEAN = math.radians(0.5)  # smaller leans are ignored
 
 
@@ -43,10 +43,10 @@ _LEAN = math.radians(0.5)  # smaller leans are ignored
 class Standing:
     """How a robot stands.
 
-    ``frame`` is the root link's new frame in the frame of the file, a quaternion (w, x, y, z); None if the file's frame
-    has x forwards and z upwards. ``rotation`` is the rotation of the root link in the world (w, x, y, z). ``positions``
-    are leg joint positions, rad or m. ``stance`` is None for a robot that does not roll. ``lean`` is the lean of the
-    base, rad, positive forwards down.
+    ``frame`` is the rotation (w, x, y, z) of the root link's new frame in the file's frame. ``frame`` is None if the
+    file's frame has x forwards and z upwards. ``rotation`` is the rotation of the root link in the world (w, x, y, z).
+    ``positions`` contains the positions of the leg joints, rad or m. ``stance`` is None for a robot without wheels.
+    ``lean`` is the pitch of the base, rad, positive if the front is lower.
     """
 
     frame: Quaternion | None
@@ -57,7 +57,7 @@ class Standing:
 
 
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
-    """Choose how a robot stands, near the pose ``qpos`` of shape (nq,)."""
+    """Choose the standing pose of a robot, near the pose ``qpos`` of shape (nq,)."""
     stance = solve_stance(model, anatomy, qpos)
     lean = stance.lean if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN else 0.0
     frame = _frame(anatomy, lean)
@@ -68,7 +68,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     """Return the frame with x forwards, y to the left, and z upwards while the base leans.
 
-    An axis that is nearly an axis of the file is replaced by the file's axis.
+    If an axis of this frame is nearly parallel to an axis of the file's frame, the file's axis replaces it.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -87,8 +87,8 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_GROUND = 0.05  # A body this near to the ground, as a share of the standing height, stands on the ground.
-_LEVEL = 0.99  # The smallest cosine of the tilt of an upright root link.
+_GROUND = 0.05  # A body touches the ground if its clearance is below this share of the standing height.
+_LEVEL = 0.99  # A root link is upright if the cosine of its tilt is at least this value.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
@@ -96,13 +96,15 @@ _EXPECTED = "a robot with joints to drive and colliders to stand on"
 class Survey:
     """A robot, measured in its default pose.
 
-    ``dofs`` are in the robot's order, breadth first. ``legs`` are the driven joints between base and wheels; without
-    wheels, all driven joints. ``held`` are other driven joints, such as those of an arm, which no action moves.
-    ``passive`` joints have no drive. ``positions`` are in rad or m. ``standing`` is None if the pose was given.
-    ``overlaps`` is the depth, m, of each pair of overlapping links that can touch. ``radius`` is that of the wheels, m.
-    ``size`` (m) is the height of the root link or of the centre of mass, whichever is larger. ``up`` is the root link's
-    axis that points up. ``trunk`` is the heaviest link fixed to the root, with ``trunk_mass`` in kg. ``wheel_bodies``
-    touch the ground. ``raised_bodies`` have colliders but do not touch the ground. ``notes`` are texts for the user.
+    ``dofs`` contains the degrees of freedom in the robot's order, breadth first. ``legs`` contains the driven joints
+    between base and wheels, or all driven joints of a robot without wheels. ``held`` contains driven joints that no
+    action moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains the joint
+    positions of the default pose, rad or m. ``standing`` is None if the caller specified the pose. ``overlaps``
+    contains the overlap depth, m, of each pair of overlapping links that can touch. ``radius`` is the radius of the
+    wheels, m. ``size`` (m) is the height of the root link or of the centre of mass, whichever is larger. ``up`` is the
+    axis of the root link that points upwards. ``trunk`` is the heaviest link that is fixed to the root link.
+    ``trunk_mass`` is the mass of this link, kg. ``wheel_bodies`` touch the ground. ``raised_bodies`` contains the
+    bodies that have colliders but do not touch the ground. ``notes`` contains messages for the user.
     """
 
     dofs: dict[str, Dof]
@@ -127,16 +129,16 @@ class Survey:
 
     @property
     def level(self) -> bool:
-        """Whether the root link's z axis points up, as most terms require."""
+        """Whether the root link's z axis points upwards, which most terms require."""
         return self.up[2] >= _LEVEL
 
 
 def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
-    ``env`` contains the sections ``sim`` and ``scene`` for the model. ``pose`` replaces default positions of the file,
-    by joint expression. With ``allow_missing``, colliders whose files are missing are accepted. An unreadable file, or
-    a robot without joints, with a ball joint, or with a fixed base raises AssetError.
+    ``env`` contains the sections ``sim`` and ``scene`` for the model. ``pose`` maps joint expressions to positions that
+    replace the file's default positions. If ``allow_missing`` is true, missing files of colliders are accepted. An
+    unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
@@ -239,7 +241,8 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the driven joints without the wheels, and the joints without a drive.
 
-    If the file has no drive for any leg joint, or for any wheel, all of these joints count as driven, except followers.
+    If the robot file drives no leg joint, all leg joints except followers count as driven. The same rule applies to
+    wheels.
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []

@@ -1,4 +1,4 @@
-"""Write a project's task, and the terms that contain this robot's names."""
+"""Write the task file of a project, and the files of the terms that contain names of the robot."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from wheelleg_exp.project.survey import Survey
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
 _CONTACT = 0.02  # A contact force above this share of the weight counts as a contact.
-_FORCE = 0.02  # The permanent force on the base that an event draws, as a share of the weight.
-_TORQUE = 0.01  # The permanent torque on the base that an event draws, as a share of weight times standing height.
-_LOAD = (-0.05, 0.1)  # The mass that an event adds to the trunk, as a share of the trunk's mass.
-_ERROR = 0.2  # A height error of this share of the standing height costs a reward of 1 per second.
-_COST = 0.15  # A motion at a tenth of the robot's natural speeds costs this reward per second.
-_TILT = 0.03  # The tilt that the stock event draws, rad.
-_DIP = 0.003  # A tilt may put a wheel into the ground by this share of the robot's size.
+_FORCE = 0.02  # The largest random permanent force on the base, as a share of the weight.
+_TORQUE = 0.01  # The largest random permanent torque on the base, as a share of weight times standing height.
+_LOAD = (-0.05, 0.1)  # The largest mass that an event adds to the trunk, as a share of the trunk's mass.
+_ERROR = 0.2  # A height error of this share of the standing height reduces the reward by 1 per second.
+_COST = 0.15  # A motion at a tenth of the robot's natural speeds reduces the reward by this value per second.
+_TILT = 0.03  # The largest random tilt of the stock reset event, rad.
+_DIP = 0.003  # A start tilt may put a wheel into the ground by at most this share of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
-_LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation by one unit of action, rad.
-_WHEEL_EFFORT = 0.25  # One unit of action at standstill takes this share of the largest torque.
+_LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation for an action of 1, rad.
+_WHEEL_EFFORT = 0.25  # An action of 1 at standstill takes this share of the drive's largest torque.
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
-    """Return the texts of the task file and of the project's own terms, by path below ``configs/``."""
+    """Return the texts of the task file and of the project's term files, by path below ``configs/``."""
     files = {f"task/{name}.yaml": task_yaml(name, robot), f"reward/{name}_upright.yaml": _upright(name, robot)}
     if robot.legs:
         files[f"action/{name}_legs.yaml"] = f"""# Legs: position targets around the default pose.
@@ -145,9 +145,9 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
-    # The start tilts, if those of the stock task would put a wheel or foot into the ground.
+    # The ranges of the start tilts, if the stock task's tilts would put a wheel or foot into the ground.
     anatomy = robot.anatomy
-    # The positions of feet are unknown, so assume half of the robot's size.
+    # The positions of the feet are unknown, so assume a distance of half of the robot's size.
     arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
     if anatomy.forward is not None:
         along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
@@ -204,14 +204,14 @@ def _tolerance(robot: Survey) -> float:
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the wheel speed of one unit of action, rad/s, which takes a quarter of the torque at standstill."""
+    """Return the wheel speed for an action of 1, rad/s; from standstill, the action takes a quarter of the torque."""
     gains = wheel_gains(robot)
     wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
     return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())
 
 
 def _leg_scale(robot: Survey) -> float:
-    """Return the leg rotation of one unit of action, rad, within the torques and limits if possible."""
+    """Return the leg rotation for an action of 1, rad, within the torque and joint limits if possible."""
     gains, reach = leg_gains(robot), []
     for name in robot.legs:
         low, high = robot.dofs[name].range or (-math.inf, math.inf)

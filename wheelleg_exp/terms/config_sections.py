@@ -75,7 +75,7 @@ _Options = TypeVar("_Options", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Key:
-    """An allowed key of a section of the config."""
+    """A key that a section of the config accepts."""
 
     name: str
     annotation: Any
@@ -83,7 +83,7 @@ class Key:
 
 
 def keys_of(options: type) -> dict[str, Key]:
-    """Return the allowed keys of a section from the fields of its dataclass."""
+    """Return the keys that a section accepts, which are the fields of the section's dataclass."""
     hints = typing.get_type_hints(options, include_extras=True)
     missing = dataclasses.MISSING
     return {
@@ -94,7 +94,7 @@ def keys_of(options: type) -> dict[str, Key]:
 
 
 def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Check a section against the fields of a dataclass and, if each value is valid, against its rules."""
+    """Check a section against a dataclass's fields and, if each value is valid, against the dataclass's rules."""
     keys = keys_of(options)
     errors = []
     for name, value in node.items():
@@ -129,13 +129,13 @@ def _dataclass_of_values(annotation: Any) -> Any | None:
 
 
 def dataclass_in(annotation: Any) -> type | None:
-    """Return the dataclass that an annotation names; None if it names no dataclass."""
+    """Return the dataclass that an annotation names; None for any other annotation."""
     kinds = (option for option in options_in(annotation) if isinstance(option, type))
     return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
 
 
 def read_section(options: type[_Options], node: Any, path: str) -> _Options:
-    """Return a section of the config as its dataclass; raise ConfigError at the first mistake."""
+    """Return a config section as an instance of its dataclass; raise ConfigError at the first mistake."""
     if not isinstance(node, Mapping):
         raise MissingValue(key=path, expected="a mapping")
     for error in section_errors(path, node, options):
@@ -156,7 +156,7 @@ def _read_value(value: Any, path: str, annotation: Any) -> Any:
 
 
 def read_value(options: type, node: Any, path: str, name: str) -> Any:
-    """Return the value at one key of a section of the config. The remaining keys of the section can be missing."""
+    """Return the value at one key of a section of the config. All other keys of the section can be missing."""
     for error in section_errors(path, node, options):
         if error.key == below(path, name):
             raise error

@@ -22,27 +22,27 @@ _FINITE = "a finite number"
 
 @dataclass(frozen=True)
 class Misfit:
-    """A mistake in a value of the config."""
+    """A mistake in one value of the config."""
 
     message: str
     expected: str
-    # the path from the value to the mistake; a mistake in a list's element belongs to the list
+    # the path from the config value to the mistake; a mistake in an element of a list gets the path of the list
     keys: tuple[str, ...] = ()
     nearest: str | None = None  # the nearest valid word
     is_type: bool = False  # whether the value has the wrong type; False if the value is out of range
 
 
 def fits(value: Any, annotation: Any) -> bool:
-    """Return whether a value from YAML fits an annotation.
+    """Return whether a value from YAML has the type of an annotation.
 
-    An int fits a float, a bool does not fit an int, a list fits a tuple. Every value fits an annotation that YAML
-    cannot express (a class, a callable), because a nested ``_target_`` node builds such an object.
+    An int is valid for float, a bool is invalid for int, and a list is valid for tuple. Any value is valid for an
+    annotation such as a class or a callable, because a nested ``_target_`` node builds the object.
     """
     return not misfits(value, annotation)
 
 
 def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
-    """Return the mistakes in the value at a config key, each with the full key of its place."""
+    """Return the mistakes in the value at a config key; each mistake has the full key of the wrong value."""
     errors = []
     for found in misfits(value, annotation):
         place = key
@@ -59,14 +59,14 @@ def require_fit(key: str, value: Any, annotation: Any) -> None:
 
 
 def misfits(value: Any, annotation: Any) -> list[Misfit]:
-    """Return every mistake in a config value, compared with an annotation."""
+    """Return every mistake in a config value; the annotation defines the valid values."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []
     if origin is typing.Annotated:
         return _constrained(value, annotation, arguments[0], constraints_of(annotation))
     if origin in (typing.Union, types.UnionType):
-        # The mistakes in a value that must fit a union, compared with the option whose type fits the value.
+        # Return the mistakes in a value of a union type; the option with the value's type defines the valid values.
         found = [misfits(value, option) for option in typing.get_args(annotation)]
         if not all(found):
             return []
@@ -97,7 +97,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         if not isinstance(value, (list, tuple)):
             return [_wrong_type(value, annotation)]
         return _of_elements(value, annotation, kind, arguments)
-    # A parameter that is an object needs a ``_target_`` node. The module config_sections checks sections.
+    # A parameter that is an object needs a ``_target_`` node. The module config_sections checks config sections.
     built = isinstance(value, Mapping) and "_target_" in value
     if built or not (isinstance(kind, type) and dataclasses.is_dataclass(kind)) or isinstance(value, kind):
         return []
@@ -107,19 +107,19 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
 
 
 def constraints_of(annotation: Any) -> list[Constraint]:
-    """Return the constraints of an annotation itself, without the constraints of its elements or options."""
+    """Return the constraints of an annotation, without the constraints of the annotation's elements or options."""
     parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
     return [part for part in parts if isinstance(part, Constraint)]
 
 
 def constraints_in(annotation: Any) -> list[Constraint]:
-    """Return the constraints of an annotation, and of its elements and options."""
+    """Return the constraints of an annotation, and of the annotation's elements and options."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
 
 
 def bare(annotation: Any) -> Any:
-    """Return an annotation without its own constraints."""
+    """Return an annotation without the constraints that are attached to the annotation itself."""
     return typing.get_args(annotation)[0] if typing.get_origin(annotation) is typing.Annotated else annotation
 
 
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # describe the expected value with its constraints
+    if found:  # describe the expected value with the annotation's constraints
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -170,16 +170,16 @@ def _out_of_range(value: Any, expected: str) -> Misfit:
     return Misfit(f"{value!r} is out of range", expected)
 
 
-# --- annotations as text ---
+# --- text of annotations ---
 
 
 def describe(annotation: Any) -> str:
-    """Return an annotation as text, constraints included."""
+    """Return an annotation and its constraints as text."""
     return ", ".join((type_words(annotation), *limit_words(annotation)))
 
 
 def limit_words(annotation: Any) -> tuple[str, ...]:
-    """Return the constraints of an annotation as text."""
+    """Return only the constraints of an annotation as text."""
     constraints = constraints_of(annotation)
     words = tuple(c.words() for c in constraints if c.words())
     if not any(c.form for c in constraints):
@@ -193,7 +193,7 @@ _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 def type_words(annotation: Any) -> str:
-    """Return the type of an annotation as text."""
+    """Return only the type of an annotation as text."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is None or annotation is type(None):
         return "null"

@@ -1,6 +1,6 @@
 """Read and write config keys and overrides as text.
 
-A key is ``env.rewards.alive`` or ``env.robot.init_state.joint_pos[.*_hip]``.
+Examples of config keys are ``env.rewards.alive`` and ``env.robot.init_state.joint_pos[.*_hip]``.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ _PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
 
 
 def is_override(word: str) -> bool:
-    """Return whether a command-line argument is an override. Arguments that are not overrides are names."""
+    """Return whether a command-line argument is an override. All other arguments are names."""
     return "=" in word or word.startswith(("~", "+"))
 
 
 def dotted(keys: Iterable[str]) -> str:
-    """Return the path as text. A key that contains dots or brackets is written in brackets."""
+    """Return the path as text. In the path, a key that contains dots or brackets is written in brackets."""
     return functools.reduce(below, keys, "")
 
 
@@ -36,7 +36,7 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # names of the primary config of pipelines and of the pipeline's config section
+PIPELINE = "pipeline"  # the name of a pipeline's primary config, and the name of the config section of a pipeline
 
 
 def names_pipeline(word: str) -> bool:

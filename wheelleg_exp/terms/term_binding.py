@@ -1,7 +1,7 @@
 """Resolve the target of a term node, and bind the node's keys to the target's parameters.
 
-A term node is a flat mapping of ``_target_``, the manager's own fields, and the term's parameters. A target must
-come from an allowed package, because a config runs no other code.
+A term node is a flat mapping of ``_target_``, the manager's own fields, and the term's parameters. A target must be in
+an allowed package, because a config must not call any other code.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# A config can build terms, noise, entities, actuators and sensors, but cannot call other code of this package.
+# The subpackages of this package that a config can call: terms, noise, entities, actuators, and sensors.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
 class NotAllowed(ConfigError):
-    """The error for a target or a class outside the allowed packages."""
+    """A target or a class of the config is outside the allowed packages."""
 
 
 def allowed_packages() -> tuple[str, ...]:
@@ -44,10 +44,10 @@ _declared_packages = functools.cache(installed_packages)
 
 
 def require_allowed(target: str, path: str) -> None:
-    """Raise ConfigError unless ``target`` is in an allowed package, so that a config runs no other code."""
+    """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call any other code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
-        # The target with its top package replaced by the nearest allowed one; None if no name is near.
+        # The target with its top package replaced by the most similar allowed package; None without a similar package.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
         declared = (
@@ -59,11 +59,11 @@ def require_allowed(target: str, path: str) -> None:
 
 
 def is_inside(name: str, packages: tuple[str, ...]) -> bool:
-    """Return whether a dotted name is in one of the packages."""
+    """Return whether a dotted name is in one of the given packages."""
     return any(name.startswith(f"{package}.") for package in packages)
 
 
-_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hydra's own instantiate
+_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # the special keys of Hydra's function instantiate
 
 # The fields that managers read, by section. A target must not have a parameter with the name of such a field.
 RESERVED: dict[str, tuple[str, ...]] = {
@@ -77,7 +77,7 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# A config may lack this section. All other missing sections are treated as empty.
+# A config can omit the section of recorders. All other missing sections are treated as empty sections.
 OPTIONAL = "recorders"
 
 # The types of the fields that managers read, and the fields that every term of a section must have.
@@ -99,20 +99,20 @@ FIELD_TYPES: dict[str, Any] = {
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # Events can have user-defined modes. A mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
-# Fields of event terms that apply only in one mode, and the name of this mode.
+# The fields of event terms that have an effect only in one mode, and the name of this mode.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
-# The arguments that a manager passes to every target. A config never contains them.
+# The arguments that a manager passes to every target. A config must not contain these arguments.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = ["cfg", "env"]  # the constructor's parameters of classes that were written for Isaac Lab
+_CFG_ENV = ["cfg", "env"]  # the parameters of the constructors of classes that were written for Isaac Lab
 
-# Targets in configs and runs of earlier versions, and their current paths.
+# Old paths of targets, as in configs and runs of earlier versions, and the current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
 
 
 class NotSelected(ConfigError):
-    """The error for a config with settings of a term that is not selected."""
+    """The config has settings of a term that is not selected."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Remove null terms from a config, make missing sections empty mappings, and return the keys that were null."""
+    """Remove null terms from a config, add missing sections as empty ones, and return the keys of the null terms."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -158,7 +158,7 @@ def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
 def split_node(kind: str, path: str, node: Any) -> TermNode:
     """Split the term node at the config key ``path`` into the fields of its manager and the parameters of its target.
 
-    ``kind`` is the section that contains the node, a key of ``RESERVED``.
+    ``kind`` is the name of the section that contains the node, such as ``rewards``.
     """
     if not isinstance(node, Mapping):
         raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
@@ -197,7 +197,7 @@ def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
     for key in node:
         if key in _HYDRA_ONLY:
             expected = f"{TARGET} and its parameters alone"
-            raise ConfigError(f"Hydra's '{key}' is not supported in terms", key=f"{path}.{key}", expected=expected)
+            raise ConfigError(f"Hydra's key '{key}' is not supported in terms", key=f"{path}.{key}", expected=expected)
     return {str(key): value for key, value in node.items() if key != TARGET}
 
 
@@ -228,8 +228,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
         raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
-    # An allowed module can import any function. Check the module that defines the function, so that a config cannot
-    # call a function of the standard library through an allowed module.
+    # Check the module that defines the function, because an allowed module can import any function.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
@@ -259,10 +258,10 @@ def takes_cfg(target: Callable[..., Any]) -> bool:
 
 
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the callable whose signature lists the parameters that a config can set.
+    """Return the function or class whose signature lists the parameters that a config can set.
 
-    For a class whose constructor takes ``(cfg, env)``, return ``__call__``. Without ``__call__``, return the class that
-    annotates ``cfg``. For any other target, return the target itself.
+    For a class whose constructor takes ``(cfg, env)``, return ``__call__``. If the class has no ``__call__``, return
+    the class that annotates ``cfg``. For any other target, return the target itself.
     """
     if not takes_cfg(target):
         return target
@@ -273,7 +272,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cfg_class(target: Callable[..., Any]) -> type | None:
-    """Return the class that annotates ``cfg`` in a constructor ``(cfg, env)``; None if it cannot be found."""
+    """Return the class that annotates ``cfg`` in a constructor ``(cfg, env)``; None if the annotation is unknown."""
     made = vars(target).get("__init__") or target.__init__
     found = made.__annotations__.get("cfg")
     if isinstance(found, str):

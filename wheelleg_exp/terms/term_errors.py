@@ -1,8 +1,7 @@
 """Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-The first half of the module checks a term node, and the nodes inside it, against the annotations of the classes and
-functions that the nodes name. The second half converts an exception in the code of a term into an error with the
-config key and the line.
+The first half of the module checks a term node and its inner nodes against the annotations of their targets. The second
+half converts an exception in the code of a term into an error with the config key and the line.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Return the mistakes in those fields of a term node that its manager reads."""
+    """Return the mistakes in the fields that the manager reads from a term node."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
         for name in binding.REQUIRED_FIELDS.get(section, ())
@@ -86,7 +85,7 @@ def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any
             yield ConfigError(message, key=term.path, expected=expected)
             return
     known = [*accepted, *binding.RESERVED[section]]
-    meant: set[str] = set()  # a parameter with a misspelled key is not also reported as missing
+    meant: set[str] = set()  # do not report a parameter as missing if its key is misspelled
     for name, value in term.params.items():
         if name in accepted:
             continue
@@ -116,7 +115,7 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
         return errors
     given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
     if any(value is inspect.Parameter.empty for value in given.values()):
-        return []  # _name_errors reports the missing parameter
+        return []  # the function _name_errors reports the missing parameter
     return [
         ConfigError(broken.message, key=f"{term.path}.{broken.key}", expected=broken.expected)
         for rule in rules_of(target)
@@ -127,8 +126,8 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of a target's parameters, including constraints.
 
-    An annotation is left out if it names a class that is imported only under ``TYPE_CHECKING``. Terms written for Isaac
-    Lab annotate the environment with such a class.
+    The result omits an annotation that names a class imported only under ``TYPE_CHECKING``. Terms written for Isaac Lab
+    annotate the environment with a class that is imported only under ``TYPE_CHECKING``.
     """
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -141,7 +140,7 @@ def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
 def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for name, annotation in getattr(function, "__annotations__", {}).items():
         alone = types.SimpleNamespace(__annotations__={name: annotation})
-        with suppress(Exception):  # evaluating an annotation can raise any error
+        with suppress(Exception):  # the evaluation of an annotation can raise any exception
             yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
 
 
@@ -154,8 +153,7 @@ def has_target(value: Any) -> bool:
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
     """Convert an exception that a part of the scene raises in the body into an error at the config key ``path``.
 
-    ``has_worked`` says that the scene has already been built with the part; the error is then a failure of the run, not
-    of the config.
+    If the scene has already been built with this part, ``has_worked`` is true, and the error is a failure of the run.
     """
     try:
         yield
@@ -176,9 +174,9 @@ def failure(
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged. ``has_worked`` says
-    that an earlier call succeeded; the error is then a failure of the run, not of the config. ``what`` names the code
-    in the message.
+    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged. If an earlier call of
+    the term succeeded, ``has_worked`` is true, and the error is a failure of the run. ``what`` is the name of the
+    failed code in the error message.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)
@@ -195,7 +193,7 @@ def failure(
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
-    """Return an error whose key starts with the path of the term, unless the key is a full path already."""
+    """Return the error with the term's path in front of its key, unless the key is already a full path."""
     found = copy.copy(error)
     if found.key is None or not found.key.startswith("env."):
         found.key = f"{path}.{found.key}" if found.key else path

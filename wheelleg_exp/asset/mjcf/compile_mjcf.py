@@ -1,4 +1,4 @@
-"""Compile an MJCF in MuJoCo, compare the model with the description, and turn acceleration gains into force gains."""
+"""Compile an MJCF, compare the model with the robot description, and convert acceleration gains to force gains."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
             if not np.allclose(np.asarray(got, float), np.asarray(want, float), rtol=RELATIVE, atol=SMALL):
                 raise AssetError(f"the model of '{source}' differs from the file in {what}: {got}, expected {want}")
     except KeyError as error:
-        raise AssetError(f"the model of '{source}' lacks an element: {error.args[0]}") from None
+        raise AssetError(f"the model of '{source}' lacks an element of the MJCF file: {error.args[0]}") from None
 
 
 def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Comparison]:
@@ -90,7 +90,7 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
             yield f"range of {joint_name}", joint.range, dof.range
         yield f"armature of {joint_name}", joint.armature[0], dof.armature
         yield f"friction loss of {joint_name}", joint.frictionloss[0], dof.frictionloss
-        if "springdamper" not in dof.extra:  # MuJoCo computes damping and stiffness from springdamper
+        if "springdamper" not in dof.extra:  # MuJoCo computes damping and stiffness from the springdamper attribute
             yield f"damping of {joint_name}", joint.damping[0], dof.damping
             yield f"stiffness of {joint_name}", joint.stiffness, dof.stiffness
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
@@ -120,7 +120,7 @@ def _tensor(moments: object, axes: object) -> np.ndarray:
 
 
 def with_force_gains(robot: RobotDescription) -> RobotDescription:
-    """Return the robot with the gains ``k`` of its acceleration drives replaced by force gains ``k · I``.
+    """Return the robot with each gain ``k`` of an acceleration drive multiplied by the joint's inertia.
 
     ``I`` is 1/(M⁻¹)ᵢᵢ of the mass matrix with all coordinates at zero: the inertia that the drive accelerates while
     all other joints are free to move.

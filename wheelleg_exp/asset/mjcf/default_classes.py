@@ -87,7 +87,7 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         across = points - middle - np.outer((points - middle) @ along, along)
         first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
-        # A circular section has equal extents in all eight directions across the axis.
+        # A shape with a circular section has equal extents in all eight directions across its axis.
         reach = [
             float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
             for angle in np.linspace(0, np.pi, 8, endpoint=False)
@@ -133,14 +133,14 @@ class Classes:
         self._parents[name] = self.root
 
     def add(self, family: Family) -> None:
-        """Move the attributes that elements of a family share into default classes."""
+        """Move the attributes that several elements with one tag share into default classes."""
         shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
         if shared:
             self._content[family.parent][family.tag] = shared
         rests = {name: _without(own, shared) for name, own in family.members.items()}
         for name, rest in rests.items():
             self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
-        # Elements with equal remaining attributes share a child class, so each number appears once in the MJCF.
+        # Elements whose remaining attributes are equal share a child class, so each number appears once in the MJCF.
         for names in _alike(rests, family.grouping):
             first, keys = rests[names[0]], family.grouping
             self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
@@ -160,7 +160,7 @@ class Classes:
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
-        """Return whether the robot's default class has attributes of joints or sites, which are inside bodies."""
+        """Return whether the robot's default class has attributes of joints or sites, which only bodies contain."""
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:
@@ -278,7 +278,7 @@ def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
 
 
 def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
-    """Return the actuators by kind. A default class has one entry for all kinds, so each kind gets its own class."""
+    """Return the actuators by type. An MJCF default class has one actuator entry, so each type needs its own class."""
     members: dict[str, dict[str, Attributes]] = {}
     for dof in robot.dofs:
         if dof.drive:

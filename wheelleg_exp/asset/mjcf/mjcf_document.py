@@ -28,7 +28,7 @@ class Notes:
         self._elements: dict[str, Element] = {}
 
     def place(self, path: str, element: Element) -> None:
-        """Record the first MJCF element that was made from a source path."""
+        """Record the first MJCF element that was made from an element of the robot file."""
         if path:
             self._elements.setdefault(path, element)
 
@@ -86,7 +86,7 @@ def file_name(mesh: desc.Mesh) -> str:
 
 def obj_text(mesh: desc.Mesh) -> str:
     """Return the text of a mesh's OBJ file, with lossless numbers."""
-    points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (an f-string takes twice as long)
+    points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (f-strings are much slower)
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
     return "\n".join([*points, *faces]) + "\n"
 
@@ -237,7 +237,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
-            # The transmission is an attribute name, so it cannot be a keyword argument.
+            # The name of this XML attribute is known only at run time, so the attribute cannot be a keyword argument.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))
@@ -249,7 +249,7 @@ HOME = "home"
 
 
 def keyframes(robot: desc.RobotDescription) -> Element:
-    """Return the ``<keyframe>`` of a robot; a keyframe ``home`` of the file replaces the generated one."""
+    """Return the ``<keyframe>`` element; a keyframe ``home`` of the robot file replaces the generated keyframe."""
     out = Element("keyframe")
     positions, velocities = state(robot)
     drives = [dof.drive for dof in robot.dofs if dof.drive]

@@ -25,7 +25,7 @@ class Element:
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
         """Append and return a child element.
 
-        ``given`` attributes are printed last; ``class_`` is printed as ``class``.
+        The attributes in ``given`` are printed last. The attribute ``class_`` is printed as ``class``.
         """
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})
@@ -53,7 +53,7 @@ class Element:
         return "\n".join(lines)
 
     def depth(self) -> int:
-        """Return the number of element levels, from this element down to the deepest descendant."""
+        """Return the number of levels from this XML element down to the deepest descendant."""
         deepest, level = 0, [self]
         while level:
             deepest += 1
@@ -121,7 +121,7 @@ def joint(dof: Dof) -> Attributes:
 
 
 def drive(of: Drive) -> Attributes:
-    """Return the MJCF attributes that several actuators can share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
+    """Return the MJCF attributes that several actuators can share; gains are in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
     return given(
         {
             "kp": of.stiffness if of.kind == "position" else None,
@@ -157,7 +157,7 @@ def site(item: Site) -> Attributes:
 
 
 def geom(item: Geom, static: bool = False) -> Attributes:
-    """Return a shape's MJCF attributes: type, colour, and contact parameters. A static collider gets no group."""
+    """Return a shape's MJCF attributes: type, colour, and contact parameters. A static collider has no ``group``."""
     group = GROUP_VISUAL if not item.collides or item.drawn else GROUP_COLLIDER
     plain = GREY if item.collides and item.drawn and not static else None
     own: Attributes = {

@@ -32,8 +32,8 @@ def scene_path(model: Path) -> Path:
 def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path.
 
-    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The scene's time step is the largest candidate at
-    which the robot, dropped on the floor, stays stable for half a second.
+    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The scene gets the largest time step at which a
+    simulated robot, dropped on the floor, stays stable for half a second.
     """
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
@@ -121,7 +121,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _is_calm(model: mujoco.MjModel, step: float) -> bool:
-    """Return whether the robot, released at its start and in its last keyframe, moves no faster than in free fall."""
+    """Return whether a robot, released in its start pose and its last keyframe, moves no faster than in free fall."""
     model.opt.timestep = step
     gravity = float(np.linalg.norm(model.opt.gravity))
     bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))

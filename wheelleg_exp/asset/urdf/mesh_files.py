@@ -41,7 +41,7 @@ def read_dae(data: bytes) -> tuple[Array, Faces]:
         part = _placed(file, mesh, matrix)
         count += len(part[0]) + len(part[1])
         if count > MOST_POINTS:
-            raise ValueError(f"more than {MOST_POINTS:,} points and triangles")
+            raise ValueError(f"the scene has more than {MOST_POINTS:,} points and triangles")
         if len(part[1]):
             parts.append(part)
     if not parts:
@@ -63,7 +63,7 @@ class _File:
     def target(self, element: Element, name: str) -> Element:
         wanted = element.attributes.get(name, "")
         if wanted.removeprefix("#") not in self._by_id:
-            raise ValueError(f"<{element.tag}> refers to '{wanted[:60]}', which is missing")
+            raise ValueError(f"<{element.tag}> refers to '{wanted[:60]}', but the file has no such element")
         return self._by_id[wanted.removeprefix("#")]
 
     def shown(self) -> list[tuple[Element, Array]]:
@@ -79,7 +79,7 @@ class _File:
         # COLLADA nodes can refer to each other, so a file of a few lines could describe millions of parts.
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
-            raise ValueError("the file's nodes refer to each other in a cycle, or multiply")
+            raise ValueError("the file's nodes refer to each other in a cycle, or multiply to too many shapes")
         matrix = above
         for child in node.children:
             matrix = matrix @ _transform(child)
@@ -146,7 +146,7 @@ def _faces(group: Element) -> Faces:
         counts = group.first("vcount")
         sizes = np.array(counts.text.split() if counts else [], dtype=int)
         if any((sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners) for corners in lists):
-            raise ValueError("the polygons of a mesh do not match its corners")
+            raise ValueError("the sizes of a mesh's polygons do not match the number of polygon corners")
         return _joined([triangles(sizes, corners) for corners in lists])
     if group.tag == "tristrips":
         return _joined([_strip(corners) for corners in lists])
@@ -179,13 +179,13 @@ def read_mesh(path: Path) -> Triangles:
                 raise ValueError(FETCH)
             vertices, faces = reader(data)
     except OSError as error:
-        raise ValueError(f"the file cannot be read ({error.strerror})") from error
+        raise ValueError(f"the mesh file cannot be read ({error.strerror})") from error
     except (ArithmeticError, LookupError, ValueError) as error:
-        raise ValueError(f"the file is damaged ({error})") from error
+        raise ValueError(f"the mesh file is damaged ({error})") from error
     if len(vertices) + len(faces) > MOST_POINTS:
-        raise ValueError(f"the file has more than {MOST_POINTS:,} points and triangles")
+        raise ValueError(f"the mesh file has more than {MOST_POINTS:,} points and triangles")
     if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("the file has no triangles, or has points that are not finite")
+        raise ValueError("the mesh file has no triangles, or contains invalid vertices")
     return vertices, faces
 
 
@@ -210,9 +210,9 @@ def read_stl(data: bytes) -> Triangles:
     else:
         corners = np.zeros((0, 3))
     if not len(corners):
-        raise ValueError("the STL file is neither text, nor as long as its number of triangles requires")
+        raise ValueError("the STL file is not a text file, and its length does not match its number of triangles")
     if len(corners) % 3:
-        raise ValueError("a triangle of the file does not have three corners")
+        raise ValueError("a triangle of the STL file does not have three corners")
     # View each corner as one opaque value, so that np.unique compares whole points; adding 0.0 turns -0.0 into 0.0.
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Parse a URDF, check its numbers, and record which elements and attributes became part of the model.
+"""Parse a URDF, check the numbers, and record which elements and attributes became part of the model.
 
 XML with a document type is refused, because XML entities could grow without limit or read other
 files. The depth and the number of XML elements are limited.
@@ -38,7 +38,7 @@ class Element:
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child element with a tag; None without such a child."""
+        """Return the first child element with a tag; None if no child has the tag."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # open elements, each with the parts of its text
+    stack: list[tuple[Element, list[str]]] = []  # the XML elements that are still open, with their text
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -105,7 +105,7 @@ class Document:
     ledger: Ledger = field(default_factory=Ledger)
 
     def fail(self, element: Element, message: str, expected: str | None = None) -> NoReturn:
-        """Raise an AssetError that names the XML element and its line."""
+        """Raise an AssetError that names an XML element and the element's line."""
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
@@ -116,7 +116,7 @@ class Document:
         return value
 
     def required(self, element: Element, name: str, became: str) -> str:
-        """Return an XML attribute's text like ``text``; a missing or empty attribute raises AssetError."""
+        """Return an XML attribute's text; a missing or empty attribute raises AssetError."""
         value = self.text(element, name, became)
         if not value:
             self.fail(element, f"<{element.tag}> has no '{name}'", f'{name}="..."')
@@ -244,7 +244,7 @@ def _visit(document: Document, element: Element) -> None:
 
 
 def summary(element: Element) -> str:
-    """Return a summary of an XML element on one line."""
+    """Return a summary of an XML element, in one line of text."""
     found = []
     for item in element.walk():
         found += [f"{item.tag} {name}={value}" for name, value in item.attributes.items()]

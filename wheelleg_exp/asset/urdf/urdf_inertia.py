@@ -16,7 +16,7 @@ from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
 from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
 from wheelleg_exp.asset.usd.gprims import Shape
 
-NOISE = 1e-6  # m, smallest plausible radius of gyration
+NOISE = 1e-6  # the smallest plausible radius of gyration of a link, m
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -42,7 +42,7 @@ def inertials(
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
-            # Parts for moving links without mass, which no simulator accepts: by their volume, or PhysX's 1 kg.
+            # A moving link without mass gets a mass from its volume, or 1 kg as in PhysX.
             heavy = {
                 link.name: part for link in unweighed if (part := _by_volume(document, link, colliders[link.name]))
             }
@@ -67,7 +67,7 @@ def _enough(part: geometry.Part) -> bool:
 
 
 def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> geometry.Part:
-    """Return a link's mass, centre, and inertia tensor in the link's frame; 0 kg if it has no mass and no volume."""
+    """Return a link's mass, centre, and inertia tensor in the link's frame; 0 kg for a link without mass and volume."""
     center, tensor = seen.inertia_frame.translation, _tensor(document, link, seen.mass)
     if seen.mass > 0 and tensor is not None:
         turn = seen.inertia_frame.rotation
@@ -98,7 +98,7 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> geomet
 
 
 def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | None:
-    """Return a link's inertia tensor in the inertial frame; None if missing, zero, or an exporter's rounding error."""
+    """Return a link's inertia tensor in the inertial frame; None if the tensor is missing or almost zero."""
     inertial = link.element.first("inertial")
     element = inertial.first("inertia") if inertial else None
     if element is None:

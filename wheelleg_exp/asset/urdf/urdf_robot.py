@@ -1,4 +1,4 @@
-"""Read a URDF into a robot description and a report.
+"""Read a URDF file into a robot description and a conversion report.
 
 Limits and couplings follow the URDF specification.
 """
@@ -25,7 +25,7 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-PLANAR = ("_transX", "_transY", "_rotZ")  # names of slides and hinge
+PLANAR = ("_transX", "_transY", "_rotZ")  # name endings of the two slides and the hinge of a planar joint
 
 Range = tuple[float, float]
 
@@ -222,7 +222,7 @@ def source_files(source: Path) -> dict[str, str]:
 
 
 class _Builder:
-    """Builder of the robot description; each link except the world link becomes a body."""
+    """A builder of the robot description of a URDF. Each link except the world link becomes a body."""
 
     def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base
@@ -251,7 +251,7 @@ class _Builder:
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
-        # The bodies with each tree in one piece: a link on a floating joint starts its own tree.
+        # Order the bodies by tree, because a link on a floating joint is the root of a separate tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
         children: dict[str | None, list[desc.Body]] = {}
         for body in bodies:

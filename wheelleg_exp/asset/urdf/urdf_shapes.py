@@ -48,7 +48,7 @@ class Looks:
         return r, g, b, a
 
     def of(self, shape: Element) -> tuple[str | None, Rgba | None]:
-        """Return the name of a shape's material, or else its colour."""
+        """Return the name of a shape's material; without a material, return the shape's colour."""
         element = shape.first("material")
         if element is None:
             return None, None
@@ -160,7 +160,7 @@ class Shapes:
             shape = Shape("mesh", (), frame, vertices, faces)
             self._points += shape.points
             require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
-            flat = flat_to_box(shape) if placed.collides else shape  # MuJoCo uses the hull of a collider's mesh.
+            flat = flat_to_box(shape) if placed.collides else shape  # A collider is a mesh's convex hull in MuJoCo.
             if flat is not shape:
                 self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
             return flat
@@ -178,7 +178,7 @@ class Shapes:
         """Return the name of a shape's mesh: its file's name, numbered if repeated. Equal meshes are stored once."""
         assert shape.vertices is not None
         assert shape.faces is not None
-        # Equal meshes share one file, but not a visual and a collider, which differ in MuJoCo's inertia mode.
+        # Equal meshes share one file. A visual and a collider share no file, because MuJoCo's inertia modes differ.
         vertices = np.round(shape.vertices, 9) + 0.0
         key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
         if key not in self.meshes:

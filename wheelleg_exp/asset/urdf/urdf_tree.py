@@ -1,4 +1,4 @@
-"""Read links and joints of a URDF as a tree, with frames, axes, and shapes in the meaning of MuJoCo's URDF reader."""
+"""Read links and joints of a URDF as a tree, and interpret frames, axes, and shapes like MuJoCo's URDF reader."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ DIGITS = 12  # digits of quaternions
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One MuJoCo joint of a URDF joint, with damping and friction in SI units."""
+    """One of the MuJoCo joints that replace a URDF joint, with damping and friction in SI units."""
 
     kind: DofKind
     axis: Vec3
@@ -186,7 +186,7 @@ def _seen(document: Document, link: Link) -> Seen:
 
 
 def _origin(document: Document, element: Element, became: str) -> Pose:
-    """Return the pose of a URDF ``<origin>``; its angles rotate about the fixed axes x, y, and z in this order."""
+    """Return the pose of a URDF ``<origin>``; the angles rotate about the fixed axes x, y, and z in this order."""
     origin = element.first("origin")
     if origin is None:
         return Pose()
@@ -242,7 +242,7 @@ def _axes(document: Document, joint: Joint) -> tuple[Axis, ...]:
     elif joint.kind == "spherical":
         kinds = [("ball", (0.0, 0.0, 1.0))]
     elif joint.kind == "planar":
-        # The two slides are the x and y axes of MuJoCo's shortest rotation from z to the joint's axis.
+        # A planar joint's slides move along x and y after MuJoCo's shortest rotation from z to the joint's axis.
         quat, turn = np.zeros(4), np.zeros(9)
         mujoco.mju_quatZ2Vec(quat, np.array(axis))
         mujoco.mju_quat2Mat(turn, quat)

@@ -89,7 +89,7 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# The ledger records each attribute of these USD schemas.
+# The conversion report lists each attribute of these USD schemas separately.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"
@@ -116,7 +116,7 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why the MJCF omits an applied schema; None for a schema without physics or with recorded attributes."""
+    """Return why the MJCF omits a prim's API schema; None without physics or with recorded attributes."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]
@@ -192,7 +192,7 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         if "PhysicsMaterialAPI" in applied:
             return "not needed: the bound shapes have a mass, or nothing is bound to this material"
         return "mass properties count only on bodies, colliders, and materials"
-    # The reason for omitting a whole joint comes first: it is more useful than a property's reason.
+    # The reason for the omission of a whole joint precedes the reasons for the omission of the joint's properties.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"

@@ -1,6 +1,6 @@
 """Find colliders, visuals, and sites: gprims, and all gprims below a prim with CollisionAPI.
 
-Sites are named frames: Isaac Sim's sensors, and the sites of MuJoCo's and Newton's schemas with their looks.
+Sites are named frames: USD types of Isaac Sim's sensors, and of the sites of MuJoCo's and Newton's schemas.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
-        elif shape.vertices is not None and shape.faces is None:  # MuJoCo's convex hull needs no triangles.
+        elif shape.vertices is not None and shape.faces is None:  # A convex hull in MuJoCo needs no triangles.
             shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)

@@ -24,8 +24,8 @@ _SEGMENTS = 32  # polygon sides
 class Shape:
     """A shape in its body: MuJoCo's geom type and size (m), a frame, and a mesh's points (n, 3) and triangles (k, 3).
 
-    ``weight`` is the solid from which PhysX computes the mass, in the shape's frame, if this solid is not the shape
-    itself.
+    ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass. None means that this solid is the
+    shape itself.
     """
 
     kind: ShapeKind
@@ -38,14 +38,14 @@ class Shape:
 
     @property
     def points(self) -> int:
-        """The number of the mesh's points and triangles."""
+        """The number of points plus the number of triangles of the mesh."""
         return sum(len(array) for array in (self.vertices, self.faces) if array is not None)
 
 
 def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
     """Return the shape of a USD gprim; None if the gprim's type is not supported or its mesh is invalid.
 
-    ``matrix`` (4, 4) maps the gprim's coordinates to those of its body in metres.
+    ``matrix`` (4, 4) maps coordinates of the gprim to coordinates of its body in metres.
     """
     make = _MAKERS.get(str(prim.GetTypeName()))
     if make is None:
@@ -62,7 +62,7 @@ class _Placing:
 
     @property
     def scale(self) -> Array | None:
-        """Scale factors along the shape's own axes; None if the transform shears the shape."""
+        """The scale factors along the shape's own axes; None if the transform shears the shape."""
         off = self.stretch - np.diag(np.diag(self.stretch))
         return None if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max() else np.abs(np.diag(self.stretch))
 
@@ -106,14 +106,13 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _round(kind: ShapeKind, prim: Usd.Prim, at: _Placing) -> Shape:
-    # USD's Capsule_1 and Cylinder_1 have a radius for each end.
+    # The USD types Capsule_1 and Cylinder_1 have a separate radius for each end.
     ends = ("radiusTop", "radiusBottom") if prim.GetTypeName().endswith("_1") else ("radius", "radius")
     top, bottom = (number_of(prim, name) for name in ends)
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
-    # MuJoCo's capsule and cylinder have one radius and a circular section; a USD capsule or cylinder of any other form
-    # becomes a convex hull.
+    # A USD capsule or cylinder without a single radius and a circular section becomes a convex hull.
     tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
     oval = at.scale is None or (
         kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()

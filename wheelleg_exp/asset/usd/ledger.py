@@ -20,14 +20,14 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # products of larger numbers overflow
+HUGEST = 1e30  # products of numbers above this limit could overflow
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """The required kind of a USD value; ``length`` of a vector; ``endless`` allows infinity and huge numbers."""
+    """The required type of a USD value. ``length`` is a vector's length; ``endless`` allows infinite numbers."""
 
     what: What
     length: int = 1
@@ -83,12 +83,12 @@ _EXPECTED = {
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
-    """Return the required kind of a USD attribute by its full name, or None if any value is allowed."""
+    """Return the required type of a USD attribute by its full name; None if any value is allowed."""
     return next((kind for kind, texts in _KINDS.items() if any(re.fullmatch(t, name) for t in texts.split())), None)
 
 
 def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
-    """Return a USD attribute's value as a plain Python value, after checking its kind."""
+    """Check the type of a USD attribute's value, and return the value in plain Python."""
     value = plain(attribute.Get())
     if value is None:
         return None
@@ -173,7 +173,7 @@ class Ledger:
         self.authored: dict[str, dict[str, Any]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return an attribute's authored value in plain Python, or None, and record the MJCF part that it becomes.
+        """Return an attribute's authored value as plain Python, or None, and record the MJCF part made from it.
 
         The method also reads attributes of schemas that the USD library does not know.
         """
@@ -189,7 +189,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the targets of a relationship, and record the MJCF part that it becomes."""
+        """Return the target paths of a USD relationship, and record the MJCF part made from the relationship."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -198,7 +198,7 @@ class Ledger:
         return list(relationship.GetForwardedTargets())
 
     def mapped(self, path: object, name: str, became: str) -> None:
-        """Record the MJCF part that a part of the robot file becomes."""
+        """Record which part of the MJCF the converter made from a part of the robot file."""
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
@@ -211,7 +211,7 @@ class Ledger:
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
-        """Record a warning, once for each text."""
+        """Record a warning; a warning with an already recorded text is ignored."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
@@ -225,20 +225,20 @@ class Ledger:
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
-        """Return whether an assumption of a rule is recorded for a path."""
+        """Return whether an assumption of the given rule is recorded for a USD path."""
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
-        """Return whether the ledger has recorded an attribute as mapped or as left out."""
+        """Return whether an attribute is recorded as converted or as omitted."""
         key = (str(path), name)
         return key in self._mapped or key in self._left_names
 
     def left_out(self, path: object, name: str) -> bool:
-        """Return whether a part of the robot file is recorded as left out."""
+        """Return whether a part of the robot file is recorded as omitted."""
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-        """Return the mapped attributes, assumptions, omitted physics, and warnings, in the order of recording."""
+        """Return the converted attributes, assumptions, omitted physics, and warnings, in the order of recording."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
         mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
         return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

@@ -17,18 +17,18 @@ COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseC
 
 @dataclass
 class Looks:
-    """The materials in use, by the path of the USD material, in the order of first use."""
+    """The materials that geoms use, by the path of the USD material, in the order of first use."""
 
     stage: Stage
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
-        """Return the materials in use, with unique names, by path."""
+        """Return the materials that geoms use, with unique names, by the path of the USD material."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
     def look(self, prim: Usd.Prim) -> tuple[str | None, Rgba | None]:
-        """Return the path of a gprim's bound material, or else the gprim's display colour."""
+        """Return the path of a gprim's bound material; without a bound material, return the gprim's display colour."""
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         if bound and self._read(bound.GetPrim()):
             self.stage.ledger.mapped(prim.GetPath(), "material:binding", "material")
@@ -96,9 +96,9 @@ def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
 def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's default.
 
-    The function returns None, which means MuJoCo's default, for files with MuJoCo's own USD schemas.
+    For files with MuJoCo's own USD schemas the function returns None, which means MuJoCo's default friction.
     """
-    # As in PhysX, the shape's own material overrides the scene's default material, which overrides a constant.
+    # As in PhysX, a shape's own material overrides the scene's default material. A constant is the last fallback.
     defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
     material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:

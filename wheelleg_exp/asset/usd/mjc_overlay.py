@@ -1,7 +1,7 @@
-"""Add the data of MuJoCo's USD schemas to a robot description that was read from the remaining schemas.
+"""Add the data of MuJoCo's USD schemas to a robot description that was read from all other USD schemas.
 
-MuJoCo's schemas have attributes of joints, geoms, and equalities; the scene's options and flags; compiler settings with
-their effect on masses and inertias; and the parts of ``mjc_parts``.
+MuJoCo's schemas have attributes of joints, geoms, and equalities, the options and flags of the scene, compiler settings
+that affect masses and inertias, actuators, tendons, and keyframes.
 
 MuJoCo's schemas override Newton's schemas, and Newton's schemas override PhysX's.
 """
@@ -25,7 +25,7 @@ JOINT_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_JOINTS.split()}
 
 
 def with_body_extra(stage: Stage, body: desc.Body) -> desc.Body:
-    """Return a body with MuJoCo's own attributes of the body, its joints, and its geoms."""
+    """Return a body with attributes of MuJoCo's USD schemas for the body, the body's joints, and the body's geoms."""
     prim = stage.usd.GetPrimAtPath(body.path)
     found = mjc.attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
     dofs = tuple(_dof(stage, dof) for dof in body.dofs)
@@ -143,7 +143,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
     if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
         extra["active"] = False
     name = f"{dof.name}_coupling"
-    # A coupling's polynomial in rad and m. Newton's offset is in USD's unit of the joint; MuJoCo's is in SI.
+    # A coupling's polynomial in rad and m. Newton's offset is in the joint's USD unit, MuJoCo's offset in SI units.
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
@@ -185,7 +185,7 @@ COMPILER = {  # reasons for omitting settings
 
 
 def with_options(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with the options and flags of the physics scene, and with its compiler settings applied."""
+    """Return the robot with the physics scene's options, flags, and compiler settings applied."""
     scene = find_scene(stage)
     if scene is None:
         return robot
@@ -277,7 +277,7 @@ def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> des
         couplings=(*robot.couplings, *couplings),
         actuators=(*robot.actuators, *mjc.read_actuators(stage, targets)),
     )
-    # If a joint has both a USD drive and a MuJoCo actuator, the actuator has more information.
+    # If a joint has a USD drive and a MuJoCo actuator, the actuator is used, because it has more information.
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
     bodies = []
     for body in robot.bodies:
@@ -296,13 +296,13 @@ Part = TypeVar("Part", desc.Site, desc.Tendon, desc.Coupling, desc.Actuator)
 
 
 def distinct(known: Iterable[desc.Dof | Part], parts: Iterable[Part]) -> tuple[Part, ...]:
-    """Return ``parts`` with a number appended to each name that one of the ``known`` parts has."""
+    """Return ``parts`` with a number appended to each name that one of the ``known`` parts already has."""
     names = desc.Numbered(item.name for item in known)
     return tuple(replace(part, name=names.take(part.name)) for part in parts)
 
 
 def single_dofs(robot: desc.RobotDescription) -> dict[str, desc.Dof]:
-    """Return the degree of freedom of each joint with exactly one, by prim path."""
+    """Return the degree of freedom of each joint that has exactly one degree of freedom, by prim path."""
     found: dict[str, desc.Dof | None] = {}
     for dof in robot.dofs:
         found[dof.path] = None if dof.path in found else dof

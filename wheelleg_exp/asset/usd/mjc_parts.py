@@ -20,7 +20,7 @@ from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
-Names = Mapping[str, str]  # MJCF names by prim path
+Names = Mapping[str, str]  # the MJCF names of elements by USD prim path
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
@@ -45,7 +45,7 @@ def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
-    """Return the authored values of ``names``, which maps USD attribute names to MJCF attribute names.
+    """Return the authored values of attributes; ``names`` maps USD attribute names to MJCF attribute names.
 
     A value that is not finite means MuJoCo's default and is omitted.
     """
@@ -122,7 +122,7 @@ ACTUATOR_ATTRIBUTES = {f"mjc:{name}": name.lower() for name in _OF_ACTUATORS.spl
 
 @dataclass(frozen=True)
 class Targets:
-    """The MJCF names of possible actuator targets, by prim path; ``ranged`` are the names of targets with limits."""
+    """The MJCF names of possible actuator targets by prim path; ``ranged`` names the targets with limits."""
 
     ranged: set[str] = field(default_factory=set)
     joints: dict[str, str] = field(default_factory=dict)
@@ -131,7 +131,7 @@ class Targets:
     bodies: dict[str, str] = field(default_factory=dict)
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
-        """Return the transmission and the MJCF name of a target; None if the MJCF lacks it."""
+        """Return the transmission and the MJCF name of an actuator's target; None if the MJCF lacks the target."""
         kinds: tuple[Transmission, ...] = ("joint", "tendon", "site", "body")
         pairs = zip(kinds, (self.joints, self.tendons, self.sites, self.bodies), strict=True)
         return next(((kind, names[path]) for kind, names in pairs if path in names), None)
@@ -242,14 +242,14 @@ def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names
 
 
 class _BrokenPath(Exception):
-    """A tendon's path is invalid; the error message gives the reason."""
+    """The path of a tendon is invalid; the error message gives the reason."""
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:path", "the tendon's path")]
     order = indices(stage, prim, "mjc:path:indices", "the tendon's path") or list(range(len(targets)))
     if not order or not all(0 <= i < len(targets) for i in order):
-        raise _BrokenPath("the tendon's path does not match the path's indices")
+        raise _BrokenPath("the tendon's path is empty, or shorter than its indices require")
     return [targets[i] for i in order]
 
 
@@ -260,7 +260,7 @@ def _factors(stage: Stage, prim: Usd.Prim, joints: Mapping[str, str]) -> tuple[t
         raise _BrokenPath(f"the tendon has {len(route)} joints, but {len(factors)} coefficients")
     missing = [path for path in route if path not in joints]
     if missing:
-        raise _BrokenPath(f"there is no joint '{missing[0]}' in the model")
+        raise _BrokenPath(f"the tendon's joint '{missing[0]}' is missing in the model")
     return tuple((joints[path], factor) for path, factor in zip(route, factors, strict=True))
 
 
@@ -272,22 +272,22 @@ def _points(stage: Stage, prim: Usd.Prim, sites: Names, geoms: Names) -> tuple[d
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
     order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
     if len(order) != count or max(order) >= len(targets):
-        raise _BrokenPath("the tendon's path does not match its side sites")
+        raise _BrokenPath("the tendon's side sites do not match the tendon's path")
     missing = [path for path in targets if path not in sites]
     if missing:
-        raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
+        raise _BrokenPath(f"the tendon's site '{missing[0]}' is missing in the model")
     sides = [sites[targets[i]] if i >= 0 else None for i in order]
     if len(segments) != len(route) or max(segments) >= len(divisors):
-        raise _BrokenPath("the tendon's path does not match its segments")
+        raise _BrokenPath("the tendon's segments do not match the tendon's path")
     points: list[desc.TendonPoint] = []
     current = 0
     for path, segment, side in zip(route, segments, sides, strict=True):
-        # MJCF marks a new tendon segment by a pulley with the segment's divisor.
+        # In MJCF, a new segment of a tendon starts with a pulley that has the segment's divisor.
         if segment != current or (not points and divisors[0] != 1.0):
             points.append(desc.TendonPoint("pulley", divisor=divisors[segment]))
         current = segment
         if path not in sites and path not in geoms:
-            raise _BrokenPath(f"there is no site or geom '{path}' in the model")
+            raise _BrokenPath(f"the tendon's site or geom '{path}' is missing in the model")
         points.append(
             desc.TendonPoint("site", sites[path]) if path in sites else desc.TendonPoint("geom", geoms[path], side)
         )

@@ -1,6 +1,6 @@
 """Make the geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
 
-Joined bodies, filtered pairs, and collision groups become MJCF excludes of bodies or collision bits of geoms.
+Joined bodies, filtered pairs, and collision groups become MJCF ``exclude`` elements or collision bits of geoms.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Geoms:
         shape, path = piece.shape, piece.path
         material, rgba = self._surfaces.get(piece.path, (None, None))
         kind = "collider" if piece.collides else "visual"
-        # A geom's name: the body's, the shape's, and ``visual``; numbered if repeated.
+        # A geom's name consists of the body's name, the shape's name, and ``visual``; repeated names get a number.
         short = names[piece.path]
         name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
         name += "" if piece.collides else "_visual"
@@ -103,7 +103,7 @@ def _faces(subset: UsdGeom.Subset) -> int:
 def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
     """Return the shapes' names within their body: the leaf, with parents if two leaves are equal.
 
-    Visuals get a suffix, so a visual and a collider never have equal names.
+    The names of visuals get a suffix, so a visual and a collider never have equal names.
     """
     base = key or ""
     out = {}
@@ -131,7 +131,7 @@ class Filters:
 
 @dataclass
 class _Rules:
-    """The pairs of shape sets that never touch; a set has the paths of its shapes."""
+    """The pairs of sets of shapes that never touch; each set contains the paths of its shapes."""
 
     sides: list[tuple[set[str], set[str]]] = field(default_factory=list)
 
@@ -140,9 +140,9 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Return a class number for each shape; shapes with equal numbers are in the same sets.
+        """Return a class number for each shape; shapes with equal numbers are members of equal sets.
 
-        A shape with number 0 is in no set.
+        A shape with the class number 0 is in no set.
         """
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
@@ -164,7 +164,7 @@ class _Rules:
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
 ) -> Filters:
-    """Return the collision filters of a stage. Two joined bodies do not touch unless the joint allows contact.
+    """Return the collision filters of a USD stage. Two joined bodies do not touch unless the joint allows contact.
 
     ``quiet`` are sets of bodies, by path, that do not touch each other; None: no two bodies touch.
     """
@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # Contype and conaffinity: one bit per filtered class, and the first bit for all other shapes.
+    # The attributes contype and conaffinity have one bit per filtered class, and the first bit for all other shapes.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -238,7 +238,7 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
-    # The shapes of each collision group; as in PhysX, the first group with a shape gets the shape.
+    # The shapes of each collision group. As in PhysX, a shape belongs only to the first group that contains the shape.
     taken: dict[str, Sdf.Path] = {}
     members: dict[Sdf.Path, set[str]] = {}
     for group in groups:
@@ -269,7 +269,7 @@ GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:inv
 def _body_pairs(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return the pairs of bodies of which no shapes touch, and the pairs of which some shapes never touch.
+    """Return the body pairs without any contact, and the body pairs of which only some shapes never touch.
 
     Bodies whose shapes are in equal sets are processed together.
     """
@@ -301,7 +301,7 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
         if all(value is None or value for value in values):
             continue
-        # The bodies that a switch on a prim applies to: those at or below it, or those that a joint joins.
+        # The bodies that a setting on a prim applies to: bodies at or below the prim, or the bodies of a joint prim.
         path = str(prim.GetPath())
         joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
         for link in joined or graph.links.below(Sdf.Path(path)):

@@ -21,7 +21,7 @@ from wheelleg_exp.errors import AssetError
 
 
 def open_layers(source: Path) -> list[Sdf.Layer]:
-    """Open a stage's layers, including those of all variants.
+    """Open all layers of a USD stage, including the layers of all variants.
 
     The layers stay open as long as the returned list exists.
     """
@@ -99,13 +99,13 @@ class Missing:
 
     @property
     def looks_only(self) -> bool:
-        """Whether the missing file contains only visuals, judging by its suffix or by the prims that name the file."""
+        """Whether a missing file contains only visuals, judged by the suffix or by the prims that name the file."""
         inside = (any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims)
         return bool(_NO_LAYER.search(self.name)) or all(inside)
 
     @property
     def prim(self) -> Sdf.Path:
-        """The first prim that names the missing layer or prim."""
+        """The first prim that refers to the missing layer or prim."""
         return self.prims[0]
 
 
@@ -165,8 +165,8 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return a text about the collider that lacks the shapes from ``holder``'s missing layer, or an empty string."""
-    # The nearest ancestor that is a collider or a visual determines whether physics is missing.
+    """Return a text about the collider whose shapes are in ``holder``'s missing layer, or an empty string."""
+    # The nearest ancestor that is a collider or a visual determines whether a missing layer contains physics.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

@@ -58,7 +58,7 @@ def _is_single(prim: Usd.Prim) -> bool:
 
 def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
     by_joint = body.parent is not None
-    # Shorten the numbers of the centre and the axes. The moments stay unchanged, because they depend on each other.
+    # Round the centre of mass and the axes. The moments of inertia stay unchanged, because they depend on each other.
     w, x, y, z = _shortest(body.inertial.axes, 1.0)
     return replace(
         body,
@@ -70,7 +70,7 @@ def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
 
 
 def _short_dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
-    """Shorten the numbers of a joint without attributes of MuJoCo's schemas, which have double precision."""
+    """Round the numbers of a joint, unless it has attributes of MuJoCo's schemas, which have double precision."""
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
     return replace(
@@ -119,7 +119,7 @@ def _shortest(values: Iterable[float], size: float) -> list[float]:
 
 
 def read_usd(source: Path, base: desc.BaseMode, variants: Mapping[str, str]) -> tuple[desc.RobotDescription, Report]:
-    """Read the robot of a USD file, and make its conversion report."""
+    """Read the robot of a USD file, and make the conversion report."""
     with library(source):
         stage = open_stage(source, variants)
         robot = describe(stage, base)
@@ -132,7 +132,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
-    # If one articulation without self-collision contains all colliders, a default class can disable self-collision.
+    # If one articulation without self-collision contains all colliders, an MJCF default class disables self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
     solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
     touching = len(quiet) != 1 or not solid <= quiet[0]

@@ -1,4 +1,4 @@
-"""Open a USD file, choose its variants, and list the robot's prims; units, transforms, and the physics scene."""
+"""Open a USD file, select its variants, list the robot's prims, and read units, transforms, and the physics scene."""
 
 from __future__ import annotations
 
@@ -309,7 +309,7 @@ def _units(usd: Usd.Stage, source: Path) -> Units:
     for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
         if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
             expected = "a positive number, such as 1 or 0.01"
-            raise AssetError(f"the stage's {name} is {value:g}", where=str(source), expected=expected)
+            raise AssetError(f"the stage's value of {name} is {value:g}", where=str(source), expected=expected)
     return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 
@@ -332,7 +332,7 @@ def relative_name(path: Path, folder: Path) -> str:
 
 
 def scene_of_robot(stage: Stage) -> Usd.Prim | None:
-    """Return the PhysicsScene that the bodies name as their simulation owner, or else the first scene, or else None."""
+    """Return the PhysicsScene that the bodies name as simulation owner; otherwise the first scene, or None."""
     scenes = stage.physics_scenes
     if len(scenes) < 2:
         return scenes[0] if scenes else None

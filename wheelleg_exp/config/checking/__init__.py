@@ -1,4 +1,4 @@
-"""Find every mistake in a config without a simulation, all at once.
+"""Find all mistakes in a config at once, without a simulation.
 
 | module | contents |
 |---|---|

@@ -18,9 +18,9 @@ from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
-# rsl_rl imports and calls the dotted names in the values of these keys.
+# rsl_rl imports the dotted name in the value of each of these keys, and calls the imported object.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
-# Parameters whose value is a name, and the function of rsl_rl.utils that looks up the name.
+# The rsl_rl parameters whose value is a name, and the function of rsl_rl.utils that looks up the name.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
 _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
@@ -65,7 +65,7 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
 
 
 def _check_class_name(path: str, name: Any) -> list[ConfigError]:
-    # Classes of other packages are rejected without an import, because an import runs code.
+    # A class of a package that is not allowed is rejected without an import, because an import runs code.
     packages = class_packages()
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
@@ -157,7 +157,7 @@ def _takes_any(found: Any) -> bool:
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the activations or optimisers that rsl_rl lists in its error; None if rsl_rl accepts ``value``."""
+    """Return the valid activations or optimisers from rsl_rl's error message; None if rsl_rl accepts ``value``."""
     import rsl_rl.utils
 
     try:

@@ -23,10 +23,11 @@ _OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
 
 @dataclass(frozen=True)
 class MountedFile:
-    """One config file, mounted at a key of the tree.
+    """A config file whose content Hydra puts at one key of the config tree.
 
-    ``config_path`` is Hydra's name of the file, ``reward/alive``. ``package`` is the key below which the content of the
-    file is mounted; it is empty at the top of the tree. ``parent`` is the config whose defaults list selects the file.
+    ``config_path`` is Hydra's name of the file, such as ``reward/alive``. ``package`` is the key below which Hydra puts
+    the content of the file; an empty key means the top of the tree. ``parent`` is the config whose defaults list
+    selects the file.
     """
 
     config_path: str
@@ -59,7 +60,7 @@ def mounted_files(composed: Composed) -> list[MountedFile]:
 
 
 def mount_place(composed: Composed, mounted: MountedFile) -> str:
-    """Return the override, or the file and line, that mounts a file at its package."""
+    """Return the override, or the file and line, that puts a config file at its package."""
     for override in reversed(composed.parsed):
         value = override.value()
         names = value if isinstance(value, list) else [value]
@@ -103,7 +104,7 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
 
 
 def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find terms that are mounted in an observation group, instead of in the ``terms`` of the group."""
+    """Find terms that are directly in an observation group, instead of in the ``terms`` of the group."""
     terms = [file for file in files if TARGET in section_at(file.content, (file.name,))]
     astray = [file for file in terms if _OBSERVATION_GROUP.fullmatch(file.package)]
     return [
@@ -151,7 +152,7 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Blame the mount in the error for an unread key, if the files at that key were mounted at a wrong key.
+    """If no code reads a key because a file was mounted at a wrong key, name the mount in the error.
 
     The result contains no errors for settings of the terms in wrongly mounted files.
     """
@@ -170,7 +171,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the files mounted at an unread key, unless another file or override sets a key below."""
+    """Return the files that are mounted at a key that no code reads, unless another file or override sets a subkey."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
@@ -190,10 +191,10 @@ def emptied_by(composed: Composed, key: str) -> str | None:
 
 
 def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
-    """Find terms that a defaults list, or a list and its parent's list, contains twice.
+    """Find terms that a defaults list contains twice, or that a config and its parent both list.
 
-    The second file would overwrite the parent's settings for the term. A term that null has removed can be listed
-    again.
+    The second mount of the term's file would overwrite the parent's settings for the term. A term that null has removed
+    can be listed again.
     """
     seen: dict[tuple[str, str], int] = {}
     errors = []
@@ -221,7 +222,7 @@ def _sets_null(file: MountedFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find values in a file that its parents overwrite, because ``_self_`` is not the last entry of the defaults list.
+    """Find values of a file that files of its defaults list overwrite, because ``_self_`` is not the list's last entry.
 
     The primary config is skipped.
     """
@@ -243,8 +244,8 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find term lists whose order differs from the order of the composed terms.
 
-    The order of terms changes if a file sets a parameter of a term before the term is mounted, because that creates the
-    key.
+    The order of terms changes if a file sets a parameter of a term before the term's file is mounted, because the
+    parameter creates the term's key.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:
@@ -270,7 +271,7 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return an error for each ignored setting of Hydra in the config files, except for the primary config."""
+    """Return an error for each Hydra setting that has no effect in a config file other than the primary config."""
     errors = []
     for mounted in files:
         if mounted.config_path == primary:

@@ -31,7 +31,7 @@ class RobotNames:
 
 
 def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
-    """Return the MJCF of the robot in the ``env`` section, from the cache or a new conversion.
+    """Return the MJCF path of the robot in the ``env`` section; convert the robot if the cache lacks the MJCF.
 
     A missing file, or a file without a robot, raises ConfigError.
     """
@@ -81,14 +81,14 @@ _BY_JOINT = {
 
 @dataclass(frozen=True)
 class Members:
-    """The joint names and body names of each member of the scene, in the order of the model; None if unknown."""
+    """The joint names and body names of each entity of the scene, in the order of the model; None if unknown."""
 
     joints: dict[str, list[str]]
     bodies: dict[str, list[str] | None]
 
 
 def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigError]:
-    """Return the mistakes in all joint and body expressions of a config, and all unknown members of the scene."""
+    """Return the mistakes in all joint and body expressions of a config, and the unknown entities of the scene."""
     robot, sensors = config["env"]["robot"], config["env"]["scene"].get("sensors")
     order = robot.get("joint_order")
     errors = order_errors(order, names.joints) if isinstance(order, list) else []
@@ -102,7 +102,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
         if node is None:
             continue
         own = node if isinstance(node, Mapping) else {}
-        # A sensor is mounted on one body, or it observes several bodies.
+        # Some sensors are mounted on one body. Other sensors observe several bodies.
         word = "body_name" if "body_name" in own else "body_names"
         listed, key = own.get(word), f"env.scene.sensors.{name}.{word}"
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
@@ -150,7 +150,7 @@ def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
 
 
 def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Find joints with two action terms for the same target, because only the later term would have an effect."""
+    """Find joint targets that two action terms set, because only the later one of the two terms has an effect."""
     from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
 
     claims = []
@@ -169,7 +169,7 @@ def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # The driven joints are unknown, because an expression is wrong. _actuators reports the expression.
+        return []  # An actuator's expression is wrong. _actuators reports the expression.
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):

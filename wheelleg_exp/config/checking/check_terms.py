@@ -1,7 +1,7 @@
 """Check the terms and the references between sections of the config.
 
-A term must be selected, its target must exist and be allowed, and its parameters must have valid values. The command,
-action term, reward, or observation group that a parameter names must exist.
+A term must be selected, the term's target must exist and be allowed, and all parameters must have valid values. The
+command, action term, reward, or observation group that a parameter names must exist.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield the section, the path, and the node of every term in the tree."""
+    """Yield the section, the config path, and the node of every term in the config."""
     for section in binding.RESERVED:
         nodes = section_at(config, f"env.{section}")
         if section == "observations":
@@ -65,7 +65,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
-    # Report the mistakes in the parameters only if the target can be a term of this section.
+    # Report the mistakes in a term's parameters only if the term's target is valid in this section.
     wrong = _section_errors(section, term) or _kind_errors(section, term, target)
     return errors + (wrong or parameter_errors(section, term, target))
 
@@ -97,7 +97,7 @@ def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., Any
 
 
 def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Reject a stock term of another section, because this section would misinterpret its return value."""
+    """Reject a stock term of another section, because the manager of this section would misread its return value."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
     if belongs is None or belongs == section:
@@ -123,7 +123,7 @@ def import_target(target: str, path: str) -> Callable[..., Any]:
 
 
 def _nearest_target(target: str) -> str | None:
-    """Return the target with its first unknown module replaced by the most similar one; None without a similar one."""
+    """Return the target with its first unknown module replaced by the most similar one; None if no name is similar."""
     parts = target.split(".")
     for n in range(1, len(parts) - 1):
         try:
@@ -153,7 +153,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in parameters that name a term of another section."""
+    """Return the mistakes in term parameters that name a term of another section."""
     errors: list[ConfigError] = []
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
@@ -217,7 +217,7 @@ def require_recorded(config: Mapping[str, Any]) -> None:
 
 
 def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Find cameras that would draw more environments than their limit."""
+    """Find cameras that would render more environments than a camera's limit allows."""
     count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
     limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
     found = (
@@ -229,7 +229,7 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Find a ``run.root`` that cannot be a folder."""
+    """Return the mistake in ``run.root`` if this path cannot be a folder."""
     root = at(config, "run.root")
     if not isinstance(root, str):
         return []

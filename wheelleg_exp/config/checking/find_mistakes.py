@@ -97,14 +97,14 @@ class TolerantLoader(Loader):
 def check(composed: Composed) -> list[ConfigError]:
     """Return every mistake in a composed config that can be found without a simulation.
 
-    The checks cover keys, types, ranges, targets and their parameters, terms that are not selected, the classes and
-    observation groups of the agent, names of joints and bodies, and the config files. Each error contains the file and
-    line, or the override, of the value.
+    The checks cover keys, types, ranges, targets, parameters, unselected terms, the classes and observation groups of
+    the agent, names of joints and bodies, and the config files. Each error contains the file and line, or the override,
+    of the value.
     """
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
     if misplaced:
-        # All keys of a wrongly mounted file are at a wrong place, so further mistakes only follow from the mount.
+        # All keys of a wrongly mounted file are at a wrong place, so further mistakes are consequences of the mount.
         return misplaced
     config = lists.without_strays(composed.config, files)
     errors = (
@@ -129,7 +129,7 @@ def check(composed: Composed) -> list[ConfigError]:
         if error.where is None and error.key is not None:
             emptied = lists.emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
             error.where = emptied or composed.provenance.where(error.key)
-        # If a whole section is missing, no line sets the key. Name the file of the task instead.
+        # If a whole section of the config is missing, no line sets the key, so the error names the task's file instead.
         if error.where is None and isinstance(error, MissingValue):
             error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
         place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
@@ -138,10 +138,10 @@ def check(composed: Composed) -> list[ConfigError]:
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
-    """Remove errors that only follow from a key that nothing reads.
+    """Remove errors that are only consequences of a key that no code reads.
 
-    Removed are errors below the unread key, and the error for a missing key if the unread key is a misspelling of the
-    missing key. A target that is not allowed is always reported.
+    The function removes errors below a key that no code reads. It also removes the error for a missing key if the key
+    that no code reads is a misspelling of the missing key. A target that is not allowed is always reported.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -157,7 +157,8 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
     """Return whether an error can be a consequence of keys whose content is unknown.
 
-    A name in ``lost`` that starts with a dot is a part of a key at any place. An empty name means every key.
+    A name in ``lost`` that starts with a dot is a key suffix, which matches at any place in the config. An empty name
+    in ``lost`` means every key of the config.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -169,7 +170,7 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
-    """Return whether a key equals or is below one of ``places``. A place with a leading dot matches at any depth."""
+    """Return whether a key is equal to or below one of ``places``. A place with a leading dot matches at any depth."""
     return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
@@ -195,7 +196,7 @@ class _Asset:
 
 
 def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
-    """Return every mistake in a plain tree, without files and lines. ``root`` is the dataclass of the top level."""
+    """Return every mistake in a config tree, without files and lines. ``root`` is the dataclass of the top level."""
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
         options = schema.options_of(path)
@@ -252,13 +253,13 @@ class _Search:
     primary: str
     folders: tuple[Path, ...]
     found: list[ConfigError] = field(default_factory=list)
-    # The keys whose content is unknown, because their file is ignored.
+    # The config keys whose content is unknown, because the broken file that sets the keys is ignored.
     lost: list[str] = field(default_factory=list)
     leniency: Leniency = field(default_factory=Leniency)
     loader: TolerantLoader | None = None
 
     def compose(self) -> Composed | None:
-        """Return the config without the mistakes that stop Hydra; None if a mistake cannot be removed."""
+        """Return the config without the overrides, files, and values that stop Hydra; None if the cause is unknown."""
         for _ in range(_MOST_ATTEMPTS):
             try:
                 return compose(self.overrides, primary=self.primary, config_dirs=self.folders, loader=self._make_loader)
@@ -280,7 +281,7 @@ class _Search:
             self.overrides = kept
             return True
         if blamed:
-            return False  # The error names several words of the command line that are not one override.
+            return False  # The error concerns several command-line arguments, which do not form one override.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
@@ -299,7 +300,7 @@ class _Search:
         return True
 
     def _places(self, path: str) -> list[str]:
-        """Return the keys that a file would have set. The key "" means every key."""
+        """Return the keys that a dropped config file would have set. The key "" means every key."""
         group, _, name = path.rpartition("/")
         if self.loader is None:
             return [""]
@@ -328,10 +329,10 @@ class _Search:
 def find_mistakes(
     overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()
 ) -> tuple[Composed | None, list[ConfigError]]:
-    """Compose and check a config. Return the config, or None if Hydra cannot compose it, and all mistakes.
+    """Compose and check a config. Return the config and all mistakes; the config is None if Hydra cannot compose it.
 
-    A mistake that stops Hydra, such as a wrong override or a broken file, is removed so that the remaining config can
-    be checked. The result contains no mistakes that only follow from this removal.
+    If a wrong override or a broken file stops Hydra, the function drops the override or file and checks the remaining
+    config. The result contains no mistakes that are only consequences of the dropped override or file.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()
@@ -342,7 +343,7 @@ def find_mistakes(
 
 
 def compose_valid(overrides: Sequence[str] = (), *, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose and check a config, and return it. Raise one ConfigError for all mistakes."""
+    """Compose a config, check the config, and return it. Raise one ConfigError for all mistakes."""
     composed, mistakes = find_mistakes(overrides, config_dirs=config_dirs)
     if mistakes:
         raise_all(mistakes)

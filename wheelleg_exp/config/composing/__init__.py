@@ -1,4 +1,4 @@
-"""Compose files and overrides into one plain tree, with the place of every leaf.
+"""Compose config files and overrides into one tree, and record the source of every value.
 
 | module | contents |
 |---|---|

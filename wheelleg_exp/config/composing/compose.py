@@ -1,7 +1,7 @@
-"""Compose a config from files and overrides into one plain tree, and apply overrides to a recorded config.
+"""Compose a config from files and overrides, and apply overrides to a recorded config.
 
-The source of each leaf is known: a file and line, or an override. An override of one of Hydra's own settings that has
-no effect in this program is an error.
+The source of each leaf is known: a file and line, or an override. Some of Hydra's own settings have no effect in this
+program, and an override of such a setting is an error.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def is_unread(key: str) -> bool:
 
 
 def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigError:
-    """Return the error for one of Hydra's own settings, with the setting to use instead."""
+    """Return the error for one of Hydra's own settings; the error names the setting to use instead."""
     instead = expected or _INSTEAD.get(_name(key), _ANY_SETTING)
     return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
 
@@ -98,23 +98,23 @@ class Composed:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """The source of each leaf. The provenance is computed on first use."""
+        """The source of each leaf. The sources of all config values, computed on first use."""
         return trace(self.loader, self.primary, self.parsed)
 
     @cached_property
     def mounts(self) -> list[Mount]:
-        """The mounted config groups, without Hydra's own config groups. The groups are computed on first use."""
+        """The config groups in use, except Hydra's own config groups. The groups are computed on first use."""
         return find_mounts(self.loader, self.parsed)
 
     @cached_property
     def raw_tree(self) -> dict[str, Any]:
-        """The unresolved tree as plain mappings, which callers must not change."""
+        """The config tree with unresolved interpolations, as plain mappings, which callers must not change."""
         tree = OmegaConf.to_container(self.raw, resolve=False)
         return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Add the file and line, or the override, of the key to each error that leaves the block."""
+        """Add the file and line, or the override, of the key to each error that the block raises."""
         try:
             yield
         except Mistakes as error:
@@ -126,14 +126,14 @@ class Composed:
             raise
 
     def _place(self, error: WheellegError) -> None:
-        # A section has no single place, because several files set its keys.
+        # A section of the config has no single file and line, because several files set its keys.
         is_section = isinstance(self.config.get(error.key or ""), Mapping)
         if error.where is None and error.key is not None and not is_section:
             error.where = self.provenance.where(error.key)
 
     @property
     def files(self) -> list[Path]:
-        """The config files that were read."""
+        """The config files from which the config was composed."""
         return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
@@ -187,12 +187,12 @@ def compose(
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
-    """Return overrides as a list. A single string is treated as one override."""
+    """Return overrides as a list. If ``overrides`` is a single string, the string is treated as one override."""
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
 def _resolve(raw: DictConfig, provenance: Callable[[], Provenance]) -> dict[str, Any]:
-    """Return the resolved tree. Raise one ConfigError for all missing values and bad interpolations."""
+    """Return the resolved tree. Raise one ConfigError for all missing values and invalid interpolations."""
     try:
         resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
@@ -244,8 +244,8 @@ _ANOTHER_VALUE = "another value"
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    Config groups cannot be selected, because no file is composed. Null terms are removed. An override of a missing key
-    or of one of Hydra's own settings raises ConfigError.
+    The overrides cannot select config groups, because no config file is read. Null terms are removed. An override of a
+    missing key or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
@@ -272,11 +272,11 @@ def require_read(
     read: Callable[[Mapping[str, Any]], Any],
     instead: Mapping[str, str],
 ) -> None:
-    """Raise ConfigError for the overrides that have no effect.
+    """Raise ConfigError if overrides have no effect on the result of ``read(tree)``.
 
-    An override has an effect if its value, or any other value of its key, changes the result of ``read(tree)``. So an
-    override that repeats the recorded value is accepted. ``instead`` maps a key to the text of what to write for the
-    keys below it; the key ``""`` applies to all other keys.
+    An override has an effect if its value, or any other value of its key, changes the result of ``read(tree)``.
+    Therefore an override that repeats the recorded value is accepted. ``instead`` maps a key to the advice in the error
+    for all keys below this key; the key ``""`` matches all other keys.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -300,7 +300,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Add the override that set the key to each ConfigError without a place that leaves the block."""
+    """Add the override that set the key to each ConfigError from the block that has no file and line."""
     try:
         yield
     except ConfigError as error:
@@ -323,7 +323,9 @@ def _parse(text: str) -> Override:
         raise problem
     override = OverridesParser.create().parse_override(text)
     if override.is_sweep_override():
-        raise ConfigError("a sweep is not possible here", key=text, where=f"override {text}", expected="one value")
+        raise ConfigError(
+            "a sweep is not possible in this command", key=text, where=f"override {text}", expected="one value"
+        )
     return override
 
 

@@ -1,7 +1,7 @@
 """Compose a sweep: Hydra expands one command line into several jobs, and every job is checked.
 
-The module also lists the launchers of a sweep. A launcher starts the jobs: one by one, in parallel processes, or in a
-queue.
+The module also lists the Hydra launchers that can run the jobs of a sweep. A launcher starts the jobs: one by one, in
+parallel processes, or in a queue.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _RayLauncher:
 
 
 def _install_command(launcher: str) -> str | None:
-    """Return the command that installs the packages of a launcher; None if they are installed."""
+    """Return the command that installs the packages of a launcher; None if the packages are installed."""
     extra, modules = _NEEDS.get(launcher, ("", ()))
     return None if all(map(_is_installed, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
 
@@ -60,14 +60,14 @@ def _install_command(launcher: str) -> str | None:
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # find_spec raises this error if the parent package is not installed.
+    except ModuleNotFoundError:  # find_spec raises ModuleNotFoundError if the parent package is not installed.
         return False
 
 
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m adds this override.
+_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m adds this override of hydra.mode.
 
 Progress = Callable[[int, int], None]
 
@@ -76,8 +76,8 @@ Progress = Callable[[int, int], None]
 class SweepJob:
     """One job of a sweep.
 
-    ``overrides`` are the overrides with which ``wheelleg train`` runs this job alone; ``swept`` are those of them that
-    differ between jobs. ``digest`` is the SHA-256 of the composed config.
+    ``overrides`` contains the overrides with which ``wheelleg train`` runs only this job; ``swept`` contains only the
+    overrides that differ between jobs. ``digest`` is the SHA-256 of the composed config.
     """
 
     overrides: tuple[str, ...]
@@ -116,8 +116,8 @@ def compose_sweep(
 ) -> Sweep:
     """Expand the overrides like Hydra's basic sweeper, and compose and check every job.
 
-    All mistakes of all jobs raise one ConfigError, which lists each mistake once. ``progress`` is called with the
-    number of checked jobs and the number of all jobs.
+    All mistakes of all jobs raise one ConfigError, which lists each mistake once. The function calls ``progress`` with
+    the number of checked jobs and the number of all jobs.
     """
     folders = tuple(config_folder(folder) for folder in config_dirs)
     # Register the settings of hydra-ray-launcher in Hydra, if the package is not installed.
@@ -149,13 +149,13 @@ def compose_sweep(
         jobs = _expand(of_files + [o for o in accepted if o not in own])
         mistakes += [] if multirun is None else _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
-    # Report a wrong key once, although each swept value of the key causes one mistake.
+    # Report a wrong key only once, although every swept value of the key causes a separate mistake.
     if mistakes:
         raise_all(list({(m.key, m.message): m for m in reversed(mistakes)}.values())[::-1])
     if multirun is None:
         multirun = _compose_launcher(loader, own, parsed)
     launcher = str(multirun.hydra.runtime.choices["hydra/launcher"])
-    # A queue gets all jobs at once, because the queue itself limits how many jobs run.
+    # A job queue gets all jobs at once, because the queue itself limits the number of running jobs.
     n_jobs = len(checked) if launcher in QUEUES else 1
     n_jobs = int(multirun.hydra.launcher["n_jobs"]) if launcher == "joblib" else n_jobs
     return Sweep(tuple(checked), launcher, n_jobs, multirun)
@@ -217,11 +217,11 @@ def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig 
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # The mistakes of the separate jobs explain why the multirun does not compose.
+        return None  # If the multirun does not compose, the mistakes of the separate jobs explain the reason.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:
-    """Compose the multirun without the jobs' overrides, which can name keys that only the swept tasks have."""
+    """Compose Hydra's multirun config without the jobs' overrides, which can name keys of the swept tasks."""
     texts = [*(str(override.input_line) for override in own), _MULTIRUN]
     with hydra_globals():
         multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
@@ -260,7 +260,7 @@ def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
 
 
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:
-    """Return the overrides of each job. An override with one value stays as typed."""
+    """Return the overrides of each job of a sweep. An override with a single value is returned as typed."""
     fixed = [override for override in parsed if not override.is_sweep_override()]
     typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
     (jobs,) = BasicSweeper.split_arguments(list(parsed), None)
@@ -291,7 +291,7 @@ def _swept(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> tuple[str
 
 
 def _in_job(error: ConfigError, indices: Sequence[int], jobs: Sequence[Sequence[str]]) -> ConfigError:
-    """Add the job's overrides to a mistake that not all jobs have, unless the mistake is in one of these overrides."""
+    """If only some jobs have a mistake, add a job's overrides to its error, unless an override caused the mistake."""
     swept = _swept(jobs[indices[0]], jobs)
     if len(indices) == len(jobs) or override_of(error) in swept:
         return error

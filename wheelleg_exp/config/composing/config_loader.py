@@ -1,7 +1,7 @@
 """Load config files with Hydra's loader, without global Hydra state, and record every file that was read.
 
-If several config folders have a file of the same name, one file must say with ``# @replaces`` that it replaces the
-other one. If most files of a group have a ``# @package`` line, every file of the group must have one.
+If several config folders contain a file of one name, a ``# @replaces`` line must mark the file that replaces the other
+file. If most files of a group have a ``# @package`` line, every file of the group must have one.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ def replaced_by(file: Path) -> tuple[str, int] | None:
 
 
 def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
-    """Return the file to read for a config such as ``reward/alive``, among all files of that name.
+    """Return the file to read for a config such as ``reward/alive``, if several folders contain a file of that name.
 
-    If several folders have a file of that name, return the file with a ``# @replaces`` line. Raise ConfigError if a
-    file would never be read, if several files replace the same file, or if a file replaces nothing.
+    The function returns the file with a ``# @replaces`` line. Raise ConfigError if a file would never be read, if
+    several files replace one file, or if the replaced file is missing.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -97,7 +97,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# Hydra and OmegaConf raise these exceptions for a wrong config. Values that do not merge raise the last three types.
+# The exceptions that Hydra and OmegaConf raise for an invalid config. Values that do not merge raise the last three.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -139,7 +139,7 @@ class Repository(CachingConfigRepository):
         self._seen: set[str] = set()
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load one config. A broken file raises a ConfigError with the file and line."""
+        """Load one config. If a config file is invalid, the loader raises a ConfigError with the file and line."""
         if config_path not in self._seen:
             self._seen.add(config_path)
             if self._is_file(config_path):
@@ -152,7 +152,9 @@ class Repository(CachingConfigRepository):
                 if wrong:
                     key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
                     expected = "one '# @package some.path' as the first line of the file"
-                    raise ConfigError("this package line has no effect", key=key, where=where, expected=expected)
+                    raise ConfigError(
+                        "this package line of the file has no effect", key=key, where=where, expected=expected
+                    )
                 content = OmegaConf.to_container(result.config, resolve=False)
                 # Copy the content now, because Hydra changes the config objects while it composes.
                 self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
@@ -170,17 +172,19 @@ class Repository(CachingConfigRepository):
         if source is None or source.scheme() != "file":
             return False
         if not self.files(config_path):
-            raise ConfigError("the config is not a regular file", key=config_path, where=source.path)
+            raise ConfigError("the config path is not a regular file", key=config_path, where=source.path)
         return True
 
     def _read(self, config_path: str, file: Path) -> ConfigResult:
-        """Read a config file as Hydra does, but with libyaml, which is faster."""
+        """Read a config file like Hydra, but with the faster parser libyaml."""
         text = file.read_text(encoding="utf-8")
         yaml_tree(text)
         content = yaml.load(text, Loader=_yaml_loader())
         if content is not None and not isinstance(content, (dict, str)):
             where, expected = show_file(file, 1), "'key: value' lines"
-            raise ConfigError("the file does not contain a mapping", key=config_path, where=where, expected=expected)
+            raise ConfigError(
+                "the config file does not contain a mapping", key=config_path, where=where, expected=expected
+            )
         name = ConfigSource._normalize_file_name(config_path)
         source = next(s for s in self.get_sources() if s.scheme() == "file" and Path(s.path) / name == file)
         config, header = OmegaConf.create(content or {}), ConfigSource._get_header_dict(text[:512])
@@ -217,7 +221,7 @@ def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Pat
 
 
 def _line_of_message(file: Path, message: str) -> int | None:
-    """Return the line that contains a quoted part of an error message; None if no line or several lines contain it."""
+    """Return the line that contains a quoted part of an error message; None without exactly one such line."""
     lines = _lines_of(file)
     for pair in re.findall(r"'([^']+)'|\"([^\"]+)\"", message):
         hits = [number for number, line in enumerate(lines, 1) if (pair[0] or pair[1]) in line]
@@ -227,7 +231,7 @@ def _line_of_message(file: Path, message: str) -> int | None:
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's config loader. The loader stores the repository and the merged files of the last ``load``."""
+    """Hydra's config loader. The loader stores its Hydra repository and the files that the last ``load`` merged."""
 
     repository_used: Repository
     merged: Sequence[ResultDefault]
@@ -260,11 +264,11 @@ class Loader(ConfigLoaderImpl):
         return super()._compose_config_from_defaults_list(defaults, repo)
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:
-        """Compose the primary config with overrides. The result also contains the ``hydra`` node."""
+        """Compose the primary config with overrides. The composed config also contains the ``hydra`` node."""
         return self.load_configuration(primary, list(overrides), RunMode.RUN, from_shell=False)
 
     def defaults(self, primary: str, parsed: Sequence[Override]) -> DefaultsList:
-        """Return the resolved defaults list of the files that the last ``load`` read."""
+        """Return Hydra's resolved defaults list of the last ``load``, which names every file that was read."""
         return create_defaults_list(self.repository_used, primary, list(parsed), prepend_hydra=True, skip_missing=False)
 
     def groups(self) -> list[str]:
@@ -285,31 +289,31 @@ class Loader(ConfigLoaderImpl):
         return self.repository.get_group_options(group, ObjectType.CONFIG)
 
 
-# A task must have this package, even if the group has no other file to compare with.
+# A task file must have the package ``_global_``, even if its group has no other file to compare with.
 _ALWAYS = {"task": "_global_"}
 
 
 def package_header(file: Path) -> str | None:
-    """Return the package in the package line at the top of a file; None without a package line."""
+    """Return the package in the ``# @package`` line at the top of a file; None without such a line."""
     match = _HEADER.match(next((line for line in _lines_of(file) if line.strip()), ""))
     return match.group(1) if match else None
 
 
 def package_meant(file: Path) -> str | None:
-    """Return the package in any package line of a file, even in a line that Hydra ignores; None without such a line."""
+    """Return the package in any ``# @package`` line of a file, even in an ignored line; None without such a line."""
     match = _MEANT.search("\n".join(_lines_of(file)))
     return match.group(1) if match else None
 
 
 def usual_header(repository: Repository, group: str, without: Path | None = None) -> str | None:
-    """Return the package that at least half of the files of a group name; None without such a package."""
+    """Return the package that at least half of a group's files have in their ``# @package`` line; None without one."""
     if group in _ALWAYS:
         return _ALWAYS[group]
     folders = [Path(s.path) / group for s in repository.get_sources() if s.scheme() == "file"]
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # Half of the files is enough, because the file with the missing package line is in the group too.
+    # Half of the group's files is enough, because the file without a package line also belongs to the group.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 

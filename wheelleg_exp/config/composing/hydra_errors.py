@@ -1,4 +1,4 @@
-"""Translate exceptions of Hydra and OmegaConf into ConfigErrors with key, place, expected value, and nearest name."""
+"""Convert exceptions of Hydra and OmegaConf to ConfigErrors with key, place, expected value, and nearest name."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class NowhereMounted(ConfigError):
 
 
 def where_of(override: Override) -> str:
-    """Return the place of an error in an override, for ``ConfigError.where``."""
+    """Return the text for ``ConfigError.where`` if an override caused the error."""
     return f"override {override.input_line}"
 
 
@@ -166,7 +166,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # Search the files in the order of loading, without the primary config, whose selections can be overridden.
+    # Skip the primary config, because an override can replace its selections. Search the files in the order of loading.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"
@@ -186,7 +186,7 @@ def _mounted_names(repository: Repository) -> list[str]:
 
 
 def flat(error: BaseException) -> str:
-    """Return an error message of Hydra or OmegaConf on one line, without internal details."""
+    """Return an error message of Hydra or OmegaConf as one line of text, without internal details."""
     lines = [line.strip() for line in str(error).strip().splitlines()]
     shown = [line for line in lines if line and not line.startswith(("full_key:", "object_type=", "See https"))]
     return " ".join(shown) or type(error).__name__
@@ -204,7 +204,7 @@ class DoesNotMerge(ConfigError):
 def translate(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
     """Return the ConfigError for an exception of Hydra or OmegaConf.
 
-    ``loader`` has composed the config. ``overrides`` are the overrides as typed.
+    ``loader`` has composed the config. ``overrides`` contains the overrides as the user typed them.
     """
     spaced = _spaced(overrides)
     if spaced is not None:
@@ -242,7 +242,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
     try:
         TopologicalSorter(below).prepare()
     except CycleError as error:
-        # In the cycle that graphlib returns, each file names the previous file.
+        # In the cycle of files that graphlib returns, each file selects the previous file.
         path, other = error.args[1][1], error.args[1][0]
         file = used.loaded[path].file
         where = show_file(file, lookup.scalar_line(file, other.rpartition("/")[2]))
@@ -316,7 +316,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
-        # Copy the config, because a failed override can replace null by an empty mapping.
+        # Copy the config, because a failed override can replace a null value by an empty mapping.
         before = copy.deepcopy(cfg)
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
@@ -349,7 +349,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
-    # KEYS also contains optional keys, which no file has to set.
+    # The table KEYS also contains optional keys, which can be missing in all config files.
     if key in KEYS and not override.is_delete() and lookup.at(shown, split_path(key)[:-1]) is not None:
         expected = "+" + str(override.input_line).lstrip("+")
         return AbsentKey("no file of the task sets this key", key=key, where=where, expected=expected)
@@ -379,7 +379,7 @@ def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> s
 
 
 def nearest_path(path: str, paths: Sequence[str]) -> str | None:
-    """Return the existing path that is most similar to ``path``, compared key by key, then as one text."""
+    """Return the existing config path that is most similar to ``path``."""
     known = [split_path(p) for p in paths]
     found: Keys = ()
     for part in split_path(path):

@@ -1,6 +1,7 @@
-"""Find the source of each leaf and of each selected group of a composed config.
+"""Find the source of each value and of each selected config group of a composed config.
 
-The source of a leaf is a file and line, or an override. A source also lists the earlier values that it replaced.
+The source of a value is a file and line, or an override. A source also lists the earlier sources whose values were
+replaced.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ class Source:
 
 
 class Provenance(Mapping[str, Source]):
-    """The last source of each leaf of a config, by dotted path.
+    """The last source of each value of a config, by dotted path.
 
-    ``deleted`` contains the sources of the leaves that overrides removed.
+    ``deleted`` contains the sources of the values that overrides removed.
     """
 
     def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
@@ -66,25 +67,25 @@ class Provenance(Mapping[str, Source]):
         return len(self._by_path)
 
     def below(self, path: str) -> list[Source]:
-        """Return the sources of the leaf at ``path``, or of all leaves below ``path``."""
+        """Return the sources of the value at ``path``, or of all values below ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return the removed leaves at or below ``path``."""
+        """Return the sources of the removed values at or below ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set ``path``.
 
-        For a section, return the place of its first leaf. For a missing key, return the place of the nearest parent.
+        For a section, return the place of its first value. For a missing key, return the place of the nearest parent
+        key.
         """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Stop before the top-level key, because many files set this key, and the first of these places does not help
-        # the user.
+        # Stop before the top-level key: many files set values of this key, so its first place does not help the user.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -100,7 +101,7 @@ class _Replay:
         self.deleted: dict[Keys, Source] = {}
 
     def write(self, keys: Keys, source: Source) -> None:
-        """Record the source of a leaf, and the earlier sources that the new source replaces."""
+        """Record the source of a value, and the earlier sources that the new source replaces."""
         below = [leaf for leaf in self.sources if len(leaf) > len(keys) and leaf[: len(keys)] == keys]
         old_value = self.sources[keys].value if keys in self.sources else None
         if source.value == {} and (below or isinstance(old_value, dict)):
@@ -123,8 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # Move the remaining leaves of the section together, as they are in the composed mapping.
-            # Move all leaves of a section next to its first leaf, without a change of their order.
+            # Move the remaining values of the section next to the section's first value, and keep their order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put a leaf at the place of the first leaf that it replaces, because the order of terms has an effect."""
+        """Put a value at the place of the first value that it replaces, because the order of terms has an effect."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -143,13 +143,13 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # A key that is added to an empty mapping does not replace the mapping.
+    # If a key is added to an empty mapping, the mapping does not count as replaced.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
 
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
-    """Return the source of each leaf, from a replay of the loader's last ``load``.
+    """Return the source of each value of a config by a replay of the loader's last ``load``.
 
     ``primary`` and ``parsed`` are the primary config and the overrides of that ``load``.
     """
@@ -205,7 +205,7 @@ def _with_element(node: Any, keys: Keys, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Choice:
-    """The selection of options of a group, by a file's defaults list or by an override, at the place ``where``."""
+    """A selection of options of a config group, in a file's defaults list or in an override; ``where`` is the place."""
 
     value: Any
     where: str
@@ -215,9 +215,10 @@ class Choice:
 class Mount:
     """A config group that is mounted at one key of the tree.
 
-    ``name`` is the group as an override names it, such as ``reward@env.rewards``. ``package`` is the key of the mounted
-    options; it is empty at the top of the tree. ``choices`` lists all selections in the order in which Hydra applies
-    them; each selection replaces the earlier ones, except a ``+`` override, which adds an option.
+    ``name`` is the group as an override names it, such as ``reward@env.rewards``. ``package`` is the config key of the
+    group's options; an empty key means the top of the config. ``choices`` lists all selections of options in the order
+    in which Hydra applies them. Each selection replaces all earlier selections, except a ``+`` override, which adds an
+    option.
     """
 
     name: str
@@ -281,7 +282,7 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the mounted group with the longest package that contains the node at ``keys``."""
+    """Return the mounted group whose package contains the config key ``keys``; the longest package has priority."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 

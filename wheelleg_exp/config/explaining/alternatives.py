@@ -1,7 +1,8 @@
 """List the values that a key accepts, for ``explain`` and for shell completion.
 
-Shell completion must be fast, so this module does not import torch. A completion candidate is a whole word. If a
-candidate ends in ``.``, ``=``, ``,``, or ``[``, the user continues to type after it.
+Shell completion must be fast, so this module does not import torch. A candidate of the shell completion is a whole
+command-line argument. If a candidate ends in ``.``, ``=``, ``,``, or ``[``, the user continues to type after the
+candidate.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from wheelleg_exp.user_exceptions import importing
 
 @dataclass(frozen=True)
 class Alternatives:
-    """The values that a key accepts, as text and as a list.
+    """The values that a config key accepts, as text and as a list.
 
-    ``values`` is empty if the values cannot be listed. ``keys`` contains the keys below that are not set, with
+    ``values`` is empty if the valid values cannot be listed. ``keys`` contains the unset subkeys of the key, with their
     defaults.
     """
 
@@ -49,7 +50,7 @@ class Alternatives:
 
 
 def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
-    """Return the values that the key at ``keys`` accepts."""
+    """Return the values that the config key ``keys`` accepts."""
     node = at(tree, keys)
     below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
     unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
@@ -67,7 +68,7 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
 
 
 def _plain(value: Any) -> Any:
-    """Return a default value as YAML would contain it. An object becomes its text."""
+    """Return a default value in the form that YAML can contain. An object becomes its text."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, (tuple, list)):
@@ -126,12 +127,12 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # The maximum number of config views in the cache. The cache deletes the oldest views.
+_MOST_VIEWS = 32  # The maximum number of cached composed configs. The oldest cached configs are deleted.
 
 
 @dataclass(frozen=True)
 class CompletionView:
-    """The parts of a composed config that completion needs.
+    """The parts of a composed config that the shell completion needs.
 
     ``mounts`` maps each mounted group, as overrides name it, to whether the group takes a list of options.
     """
@@ -142,7 +143,7 @@ class CompletionView:
 
 
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
-    """Compose the overrides and return the view of the config, from the cache if possible.
+    """Compose the overrides, and return the parts of the config that the completion needs, from the cache if possible.
 
     If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
     even the primary config composes.
@@ -181,7 +182,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
 def complete_override(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the overrides that start with ``word``; ``before`` contains the other overrides of the command line."""
+    """Return the overrides that start with ``word``; ``before`` contains all other overrides of the command line."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -213,7 +214,7 @@ def complete_override(
 def complete_key(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the sections, leaves, and groups whose names start with ``word``."""
+    """Return the keys of sections and values, and the config groups, whose names start with ``word``."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -222,7 +223,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the keys of the next level: ``env.`` and ``env.decimation=``; with ``removable`` also ``env``."""
+    """Return the completed keys of one level, such as ``env.`` or ``run.seed=``; with ``removable`` also ``env``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []
@@ -235,7 +236,7 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
 
 
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
-    """Return the valid values of a leaf that are known without an import of a term."""
+    """Return the valid values of a config key that are known without an import of a term."""
     now = at(tree, path)
     inside_target = any(TARGET in section_at(tree, path[:n]) for n in range(1, len(path)))
     slot = None if inside_target or path[:1] == ("agent",) else key_slots.slot(tree, path)

@@ -41,7 +41,7 @@ LIBRARY = "wheelleg_exp.mdp"
 class LibraryTerm:
     """A stock term that a config can select.
 
-    ``help`` is the first line of the docstring. ``limits`` contains the types and bounds of parameters, as text.
+    ``help`` is the first line of the term's docstring. ``limits`` contains the types and bounds of parameters, as text.
     """
 
     section: str
@@ -52,7 +52,7 @@ class LibraryTerm:
 
 
 def library() -> list[LibraryTerm]:
-    """Return the public stock terms, section by section."""
+    """Return the library's public terms, section by section."""
     return [term for name, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{name}"))]
 
 
@@ -79,12 +79,12 @@ def is_term(section: str, found: Any) -> bool:
         return issubclass(found, TermBase) and not abstract
     if not inspect.isfunction(found) or next(iter(inspect.signature(found).parameters), None) != INJECTED[0]:
         return False
-    # An event term returns None. Other functions in the module of the event terms are helper functions.
+    # An event term returns None. A function of the events module with a different return type is a helper function.
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
 def limits_of(target: Any) -> dict[str, str]:
-    """Return the type and bounds of each parameter with bounds, as text."""
+    """Return the types and bounds of all parameters that have bounds, as text."""
     hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
     return {
         name: describe(hint)
@@ -111,8 +111,8 @@ TASK_GROUP = "task"
 class Entry:
     """One option of a config group.
 
-    ``help`` is a description of one line; empty if the file has no comment. ``target`` is None if the option is not a
-    term.
+    ``help`` is a description of one line; it is empty if the option's file has no comment. ``target`` is None if the
+    option is not a term.
     """
 
     group: str
@@ -150,7 +150,7 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
             _require_group(group, names)
         chosen = [group] if group is not None else names
         entries = [_entry(loader, name, option) for name in chosen for option in loader.options(name)]
-    # Some groups without terms, such as the group of sensors, also have nodes with targets.
+    # Some config groups without terms, such as the group of sensors, also contain nodes with ``_target_``.
     term_groups = {section.removesuffix("s") for section in RESERVED}
     found = [entry for entry in entries if entry.target is not None]
     return [_with_docstring(e) for e in found if group is not None or e.group.split("/")[0] in term_groups]
@@ -158,7 +158,7 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
 
 def _require_group(group: str, names: Sequence[str]) -> None:
     if group not in names:
-        raise not_one_of("there is no such config group", group, names, key=group)
+        raise not_one_of("there is no config group with this name", group, names, key=group)
 
 
 def _entry(loader: Loader, group: str, name: str) -> Entry:
@@ -192,7 +192,7 @@ def _target(text: str, name: str) -> str | None:
 
 
 def leading_comment(text: str) -> str:
-    """Return the first line of the comment at the top of a YAML file, below its package line."""
+    """Return the first line of the comment at the top of a YAML file, below the file's ``# @package`` line."""
     for line in text.splitlines():
         words = line.strip()
         if words and not words.startswith("#"):

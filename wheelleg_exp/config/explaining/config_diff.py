@@ -1,4 +1,4 @@
-"""Compare two plain trees leaf by leaf, and two runs or tasks by the meaning of their configs."""
+"""Compare two config trees value by value, and compare two runs or tasks by the meaning of their configs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ABSENT = _Absent()
 
 @dataclass(frozen=True)
 class Change:
-    """One leaf in which two trees differ; ``a`` or ``b`` is ``ABSENT`` if that tree lacks the key."""
+    """One key at which two config trees differ; ``a`` or ``b`` is ``ABSENT`` if that tree lacks the key."""
 
     keys: Keys
     a: Any
@@ -31,7 +31,7 @@ class Change:
 
     @property
     def key(self) -> str:
-        """The dotted key of the leaf."""
+        """The dotted config key of the value."""
         return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
 
 
@@ -45,7 +45,7 @@ def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) 
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two plain values are equal. The value 1 equals 1.0, NaN equals NaN, but True differs from 1."""
+    """Return whether two plain values are equal. 1 equals 1.0, and NaN equals NaN, but True differs from 1."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if _is_list(a) and _is_list(b):
@@ -63,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# The effect of a different order of terms, for the sections in which the order has an effect.
+# The effect of a different order of terms, for each section in which the order of terms has an effect.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -107,7 +107,7 @@ class PlacedChange:
 
 @dataclass(frozen=True)
 class FactChange:
-    """One fact in which two runs differ."""
+    """One fact, such as a version, in which two runs differ."""
 
     section: str
     name: str
@@ -117,7 +117,7 @@ class FactChange:
 
 @dataclass(frozen=True)
 class Difference:
-    """All differences between two configs. The comparison is false if the configs are equal."""
+    """All differences between two configs. The object is false in a boolean context if the configs are equal."""
 
     terms: tuple[PlacedChange, ...]
     parameters: tuple[PlacedChange, ...]
@@ -140,7 +140,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # The value is None if the children of the node are not terms.
+    section = key_slots.section_of((*keys, "any"))  # The section is None if the node contains no terms.
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
@@ -171,7 +171,7 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
 
 
 def _makes(value: Any, default: Any) -> bool:
-    """Return whether a value equals a default, also if the value is the node from which the default object is built."""
+    """Return whether a value equals a default. The value can be the node that builds the default object."""
     target = key_slots.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)

@@ -22,7 +22,7 @@ from wheelleg_exp.terms.term_binding import TARGET
 
 @dataclass(frozen=True)
 class Meaning:
-    """A description of a key, and the place of the description.
+    """A description of a config key, and the place of the description.
 
     ``where`` is the file and line of a comment, or the dotted name of an object with a docstring. ``about`` is ``key``,
     or ``term`` if the text describes the term that contains the key.
@@ -36,7 +36,7 @@ class Meaning:
 def meanings(
     tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
 ) -> tuple[Meaning, ...]:
-    """Return the comments and docstrings about a key, the most specific first; ``sources`` set the key."""
+    """Return the comments and docstrings about a config key, the most specific first; ``sources`` set the key."""
     found: dict[str, Meaning] = {}
     for note in (*_comments(keys, sources), *_docstrings(tree, keys, slot)):
         found.setdefault(note.text, note)
@@ -51,13 +51,13 @@ def unit_of(notes: Sequence[Meaning], keys: Keys) -> str | None:
 
 
 def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
-    """Yield the comments at the lines that set the key. The comments of the file that Hydra merges last come first."""
+    """Yield the comments at the lines that set the key. The first comment is from the file that Hydra merges last."""
     for source in reversed(sources):
         if source.file is None or source.line is None or len(keys) < len(source.package):
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # source.line is the line of a leaf, but the comment of a mapping is at the line of the mapping.
+            # source.line is the line of one value, but the comment on a mapping is at the line of the mapping's key.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -80,15 +80,15 @@ def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None
             return
 
 
-# An interpolation that refers to a key. An interpolation with a colon calls a resolver instead.
+# Matches an interpolation that refers to a key. An interpolation with a colon calls a resolver instead.
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 
 @dataclass(frozen=True)
 class Reference:
-    """One key that an interpolation reads.
+    """One config key that an interpolation refers to.
 
-    ``raw`` is the unresolved value if it is an interpolation itself, otherwise None.
+    ``raw`` is the unresolved value of the key if this value is an interpolation, otherwise None.
     """
 
     path: str
@@ -105,7 +105,7 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
         here, text = waiting.pop(0)
         for match in _REFERENCE.finditer(str(text)):
             name = match.group(1).strip()
-            dots = len(name) - len(name.lstrip("."))  # ``.x`` names a sibling of the value.
+            dots = len(name) - len(name.lstrip("."))  # In an interpolation, ``.x`` names a sibling of the value.
             found = (*here[: len(here) - dots], *split_path(name[dots:])) if dots else split_path(name)
             if found in seen:
                 continue
@@ -124,9 +124,10 @@ Kind = Literal["value", "term", "section", "group", "not set", "not selected", "
 class Explanation:
     """The explanation of one key.
 
-    ``value`` is the resolved value, or the default if the key is not set. ``raw`` is the unresolved value if it
-    contains ``${...}``, otherwise None. ``sources`` lists the places that set the key, oldest first; the last one can
-    also have removed the key. ``mount`` is the group at the key, or the group whose ``option`` contains the key.
+    ``value`` is the resolved value, or the default if the key is not set. ``raw`` is the unresolved value if the value
+    contains ``${...}``, otherwise None. ``sources`` lists the places that set the key, oldest first. The last source
+    can also be an override that removed the key. ``mount`` is the group at the key, or the group whose ``option``
+    contains the key.
     """
 
     key: str
@@ -146,9 +147,9 @@ class Explanation:
 
 
 def explain_key(composed: Composed, key: str) -> Explanation:
-    """Explain a key or a group of a composed config. The key does not have to be set.
+    """Explain a key or a group of a composed config. The function also explains a valid key that is not set.
 
-    A key that does not exist and that nothing reads raises ConfigError.
+    A key that does not exist and that no code reads raises ConfigError.
     """
     tree = composed.raw_tree
     keys, found = split_path(key), composed.mounts
@@ -254,7 +255,7 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     if slot is None or not has_place or key_slots.section_of(keys) is not None:
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
-        return None  # The parent section accepts any key, but no config file sets the requested key.
+        return None  # The parent section accepts any key, but no config file sets the key that the user asked about.
     notes = meanings(tree, keys, slot, ())
     default = None if slot.default is key_slots.REQUIRED else slot.default
     return Explanation(
@@ -269,7 +270,7 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
 
 
 def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
-    """Return the sources of a leaf, oldest first. A list element has the sources of its list."""
+    """Return the sources of a config value, oldest first. An element of a list has the sources of the whole list."""
     for length in range(len(keys), 0, -1):
         source = composed.provenance.get(dotted(keys[:length]))
         if source is not None:

@@ -30,7 +30,7 @@ FIELDS: dict[str, tuple[str, Any]] = {
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 
-# The description of each key that no docstring describes. The character * matches one key.
+# The description of each config key that no docstring describes. The character * matches one key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
     "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: random networks",
@@ -110,10 +110,10 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 
 
 def comment_at(file: Path, line: int) -> str:
-    """Return the comment on a line of a YAML file, or directly above the line at the same indentation.
+    """Return the comment on a line of a YAML file, or the equally indented comment directly above the line.
 
-    The comment at the top of a file describes the whole file. The comment describes a key only if the file has no other
-    key.
+    The comment at the top of a file describes the whole file. The comment at the top describes a key only if the file
+    has exactly one key.
     """
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):
@@ -123,7 +123,7 @@ def comment_at(file: Path, line: int) -> str:
 
 
 def file_comment(file: Path) -> str:
-    """Return the comment below the package line of a file, which describes a section; empty without a comment."""
+    """Return the comment below a file's ``# @package`` line, which describes a section; empty without a comment."""
     lines = _lines(file, file.stat().st_mtime_ns)
     if not lines or not _PACKAGE.match(lines[0]):
         return ""
@@ -189,7 +189,7 @@ _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
 
 
 def unit_in(text: str) -> str | None:
-    """Return the unit in a comment or a docstring line, at its start or after a comma; None without a unit."""
+    """Return the unit at the start of a comment or docstring line, or after a comma; None without a unit."""
     for pattern in (_FIRST, _LATER):
         match = pattern.search(text)
         if match:
@@ -239,5 +239,5 @@ def parameters_in(text: str) -> dict[str, str]:
 
 
 def is_own(module: ModuleType, found: Any) -> bool:
-    """Return whether an object is defined in a module or its submodules, and not only imported there."""
+    """Return whether an object is defined in a module or its submodules; False if the object is only imported there."""
     return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")

@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TermShape:
-    """One term of an observation group, or of the actions.
+    """One term of an observation group, or one action term.
 
-    ``width`` is the number of components of one sample. ``history`` is the number of control steps in the history; 0
-    means only the present. ``start`` and ``stop`` are the term's indices in the joined vector; None for a term that is
-    not contiguous. ``joints`` are the joints that an action drives, in the order of its components.
+    ``width`` is the number of components of the term in one control step. ``history`` is the number of control steps in
+    the history; 0 means only the present. ``start`` and ``stop`` are the term's indices in the joined vector; None if
+    the term's components are not contiguous. ``joints`` contains the joints that an action drives, in the order of the
+    action's components.
     """
 
     name: str
@@ -45,7 +46,7 @@ class GroupShape:
 
 @dataclass(frozen=True)
 class Shapes:
-    """The layout of a policy's inputs and outputs. ``joints`` are in the robot's default order."""
+    """The layout of a policy's inputs and outputs. ``joints`` contains the joint names in the robot's default order."""
 
     joints: tuple[str, ...]
     observations: dict[str, GroupShape]

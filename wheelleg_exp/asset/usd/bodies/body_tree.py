@@ -1,6 +1,6 @@
 """Make a tree of bodies from a graph of joints: parents, poses at zero, and the joints that close loops.
 
-A MuJoCo equality replaces a joint that closes a loop, if one with the joint's effect exists.
+A MuJoCo equality constraint replaces a joint that closes a loop, if MuJoCo has an equality with the joint's effect.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Node:
 
     @property
     def reversed(self) -> bool:
-        """Whether the joint names this body first, as body0."""
+        """Whether the child body is the joint's body0 instead of its body1."""
         return self.joint is not None and self.joint.links[0] is self.link
 
     @property
@@ -69,7 +69,7 @@ class Tree:
 
 
 def drawn_in_parent(node: Node) -> Frame:
-    """Return the body's pose in its parent, as drawn in the USD file."""
+    """Return the pose of the body in its parent body, as drawn in the USD file."""
     return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
 
 
@@ -82,10 +82,10 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return a loop-closing joint that no equality can replace, and a joint of the loop to open in its place; or None.
+    """Return a loop joint that no equality can replace, and another joint of the loop that is opened instead; or None.
 
-    The joint to open can become an equality and has no drive. Of several such joints, the function returns the one
-    furthest from the root.
+    The joint that is opened instead has no drive, and an equality can replace this joint. If the loop has several
+    joints without a drive that an equality can replace, the joint furthest from the root is returned.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -163,7 +163,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
     The tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from the root.
-    If no equality can replace this joint, a different joint of the loop is opened if possible.
+    If no equality can replace the opened joint, a different joint of the loop is opened if possible.
 
     The base ``floating`` drops joints that fix a root to the world; ``fixed`` removes the free joint.
     """
@@ -173,7 +173,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # Opening another joint changes the whole tree, so the loop builds the tree again after each exchange of joints.
+    # The exchange of the opened joint changes the whole tree, so the tree is built again after each exchange.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
@@ -249,7 +249,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """Builder of breadth-first spanning trees; a joint to a body that is already in a tree closes a loop."""
+    """A builder of breadth-first spanning trees. A joint to a body that is already in a tree closes a loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
@@ -274,7 +274,7 @@ class _Builder:
                 self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
 
     def _grow(self, root: Link, joint: Joint | None) -> None:
-        """Add ``root`` (fixed by ``joint`` to the world, or free) and all bodies connected to ``root`` to the tree."""
+        """Add ``root`` (free, or fixed to the world by ``joint``) and all bodies connected to ``root`` to the tree."""
         if root.path in self._placed:
             return
         self._place(root, None, joint, 0)
@@ -293,7 +293,7 @@ class _Builder:
             relative, floating = link.frame, self.base != "fixed" and not link.kinematic
         else:
             side = joint.side(link)
-            # If the joint's coordinates are zero, its frames in both bodies coincide.
+            # If the joint's coordinates are zero, the joint's frames in the two bodies coincide.
             relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
         above = self._placed[parent.path] if parent else Frame.identity()
@@ -319,7 +319,7 @@ class _Builder:
 
 
 def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None if unknown."""
+    """Return whether the freedoms of several joints between two bodies add up, as in MuJoCo; None if unknown."""
     name = "newton:jointsAddMobility"
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]

@@ -1,6 +1,6 @@
 """Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh.
 
-A collider's mass is its authored mass, or a density times its volume.
+The mass of a collider is the authored mass, or a density times the collider's volume.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ NO_DENSITY = "no density: water"
 
 
 def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
-    """Return mass, centre, and tensor of each collider of a body, in the body's frame.
+    """Return the mass, centre of mass, and inertia tensor of each collider of a body, in the body's frame.
 
-    A collider is the prim with CollisionAPI: its MassAPI applies to all shapes below it together. Shapes without volume
-    get no mass.
+    A collider is the prim with CollisionAPI: its MassAPI applies to all shapes below it together. A collider without
+    volume gets no mass.
     """
     shapes: dict[str, list[tuple[Piece, Solid]]] = {}
     for piece in pieces:
@@ -71,7 +71,7 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     carrier = group[0][0].carrier
     assert carrier is not None
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
-    # All shapes of one collider prim share one MassAPI, so the shapes count as one part.
+    # All shapes of one collider prim share one MassAPI, so the converter sums their masses.
     center = combined_center(parts)
     whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
     if carrier.GetPath() == link.prim.GetPath():
@@ -161,8 +161,8 @@ SMALLEST = 1e-15  # kg or kg m²
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
     """Return a body's mass, centre of mass, and principal moments of inertia.
 
-    All colliders count, even if their collision is disabled. MuJoCo accepts a mass of zero only on a ``welded`` body,
-    which cannot move in its parent.
+    All colliders of the body contribute mass, even colliders whose collision is disabled. MuJoCo accepts a mass of zero
+    only on a ``welded`` body, which cannot move in its parent.
     """
     authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
     parts: list[Part] = []
@@ -173,7 +173,7 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
         return Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     mass = _computed_mass(stage, link, parts) if authored is None else authored
     if mass < SMALLEST and not welded:
-        raise AssetError(f"a mass of {mass:g} kg is too small", key=link.path, expected=f"more than {SMALLEST:g} kg")
+        raise AssetError(f"the mass of {mass:g} kg is too small", key=link.path, expected=f"more than {SMALLEST:g} kg")
     if center is None:
         center = combined_center(parts)
         if parts:
@@ -206,7 +206,7 @@ def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -
 def _moments(
     stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, authored: tuple[Vec3, Quat | None] | None
 ) -> tuple[Vec3, Quat]:
-    """Return principal moments and axes; the colliders give an unauthored value, as in PhysX."""
+    """Return a body's principal moments and axes; unauthored values are computed from the colliders, as in PhysX."""
     if authored is not None and authored[1] is not None:
         return authored[0], authored[1]
     if authored is not None and not parts:

@@ -1,4 +1,4 @@
-"""Find the rigid bodies, the body that a prim belongs to, and the saved velocity of bodies that float."""
+"""Find the rigid bodies of a USD stage, the body of each prim, and the saved velocities of floating bodies."""
 
 from __future__ import annotations
 

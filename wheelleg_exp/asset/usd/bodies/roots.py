@@ -43,7 +43,7 @@ class Graph:
                 yield other
 
     def component(self, start: Link) -> list[Link]:
-        """Return ``start`` and all bodies that tree joints connect to it, level by level."""
+        """Return ``start`` and all bodies that tree joints connect to ``start``, level by level."""
         return list(self.distances(start, closing=False)[0])
 
     def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
@@ -62,9 +62,8 @@ class Graph:
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
     """Return the root bodies of the spanning trees, in order of priority.
 
-    The roots are bodies joined to the world; bodies with ArticulationRootAPI; kinematic bodies; the centre of each
-    floating part below a prim with ArticulationRootAPI, as PhysX chooses it; and bodies that are not a child of any
-    joint.
+    The roots are, in this order: bodies with a joint to the world, bodies with ArticulationRootAPI, kinematic bodies,
+    PhysX's centre body of each floating articulation, and bodies that are no joint's child.
     """
     marks = stage.articulation_prims
     roots: dict[str, Root] = {}
@@ -107,7 +106,7 @@ def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
-    """Yield the centre body of each floating part that is below an articulation root and contains no root body yet."""
+    """Yield the centre body of each floating articulation that contains no root body yet."""
     reached: set[str] = set()
     for root in roots:
         if root.path not in reached:
@@ -127,10 +126,10 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 
 
 def centre(graph: Graph, part: list[Link]) -> Link:
-    """Return the centre body of a graph, whose largest distance to any body is the smallest.
+    """Return the centre body of a graph, which is the body with the smallest distance to its farthest body.
 
-    Of several centre bodies, the function returns the one with the most joints, or else the first found. OpenUSD's
-    physics parser, and so PhysX, roots a floating articulation at its centre body.
+    If a graph has several centre bodies, the function returns the centre body with the most joints. OpenUSD's physics
+    parser and PhysX use the centre body as the root of a floating articulation.
     """
     order = {link.path: index for index, link in enumerate(_by_depth(graph, part[0]))}
     return min(
@@ -146,7 +145,7 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
     left = {link.path: link for link in part}
     around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
     degree = {path: len(others) for path, others in around.items()}
-    # Cutting leaves layer by layer leaves the centre of a tree. Bodies in loops are never leaves.
+    # Repeated removal of all leaves reduces a tree to its centre. A body in a loop is never a leaf.
     leaves = [path for path, count in degree.items() if count <= 1]
     while leaves and len(left) > 2:
         fresh = []

@@ -1,4 +1,4 @@
-"""Convert tree edges to degrees of freedom, and find the coordinates of the drawn pose."""
+"""Convert the edges of the body tree to degrees of freedom, and find the joint coordinates of the drawn pose."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return the degrees of freedom of a body in its parent. The drawn pose replaces a missing saved joint state.
+    """Return the degrees of freedom of a body in its parent. The drawn pose replaces a missing joint state of the file.
 
     A zero coordinate outside the limits is moved inside the limits, except in a robot with ``loops``, because the loops
     would open.
 
-    The coordinate is that of body1 relative to body0 about +axis. If the child body is body0, the axis is negated, and
-    limits, targets, and gains stay as authored.
+    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the axis
+    is negated, and the limits, targets, and gains are unchanged.
     """
     if node.joint is None:
         return ()
@@ -40,7 +40,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
         rule = "the joint names the child as body0: the axis is negated"
         stage.ledger.assume(joint.path, rule, node.link.name)
     found = []
-    # The motion of body0 relative to body1 has the joint's axes in reverse order and with negative sign.
+    # The motion of body0 relative to body1 has the joint's axes in reverse order and with negated directions.
     for axis in reversed(joint.axes) if node.reversed else joint.axes:
         direction = sign * (frame.rotation @ np.array(axis.axis))
         name = joint.name + (axis.suffix if len(joint.axes) > 1 else "")
@@ -76,7 +76,7 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
-    """Return the joint coordinates that move a body from zero to its drawn pose, or as near as the joint allows.
+    """Return the joint coordinates that move a body from zero to its drawn pose, or as near to this pose as possible.
 
     The coordinates of a ball joint, and of a body with several joints, stay zero.
     """

@@ -19,7 +19,7 @@ SLIDES, TURNS = ("transX", "transY", "transZ"), ("rotX", "rotY", "rotZ")
 
 @dataclass(frozen=True)
 class FreeAxis:
-    """One free axis of a joint, in the joint's frame. ``token`` is the axis's name in USD drives and limits."""
+    """One free axis of a joint, in the joint's frame. ``token`` is the axis's name in USD's drives and limits."""
 
     kind: Literal["hinge", "slide", "ball"]
     axis: Vec3
@@ -28,7 +28,7 @@ class FreeAxis:
 
 
 def single_axis(stage: Stage, prim: Usd.Prim, angular: bool) -> list[FreeAxis]:
-    """Return the axis of a revolute or prismatic joint; an empty or unknown name is X, as in PhysX."""
+    """Return the axis of a revolute or prismatic joint; an empty or unknown axis name means X, as in PhysX."""
     token = "angular" if angular else "linear"
     return [FreeAxis("hinge" if angular else "slide", UNIT[axis_name(stage, prim)], token)]
 
@@ -54,11 +54,11 @@ def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
 
 
 def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
-    """Return the free axes of a generic joint, slides before hinges, and the offset of its locked axes.
+    """Return the free axes of a generic joint, slides before hinges, and the positions of the locked axes.
 
-    An axis is locked at 0 if its low limit is above its high limit, and at the limits' value if both limits are equal.
-    Three free rotations are a ball joint if none of the rotations has limits, a drive, a state, or friction, which a
-    ball cannot have per axis.
+    An axis is locked at 0 if its low limit is above its high limit. An axis with two equal limits is locked at the
+    value of the limits. Three free rotations are a ball joint if none of the rotations has limits, a drive, a state, or
+    friction, because a ball joint cannot have separate values per axis.
     """
     free, offset = [], Frame.identity()
     for token in (*SLIDES, *TURNS):

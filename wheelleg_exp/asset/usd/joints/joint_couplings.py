@@ -1,6 +1,6 @@
 """Read joints that become tendons or couplings: distance joints, and PhysX's mimic joints.
 
-A distance joint becomes a tendon between two points, with a range, or with springs at the ends of the range.
+A distance joint becomes a tendon between two points. The tendon has a range, or springs at the ends of the range.
 """
 
 from __future__ import annotations

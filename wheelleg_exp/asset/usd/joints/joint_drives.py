@@ -1,6 +1,6 @@
 """Read drives, passive forces, and the velocity and effort limits of joints.
 
-Gains per degree become gains per rad, and targets stay inside the limits.
+Gains per degree are converted to gains per rad, and targets are clamped to the limits.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report a target velocity that a position actuator ignores; PhysX's drive rests ``shift`` from its target."""
+    """Report a target velocity that a position actuator ignores; it moves PhysX's drive ``shift`` off its target."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
@@ -92,7 +92,7 @@ def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range
 
 Found = tuple[str, float | None]  # name and SI value
 
-# The attributes are in order of priority: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
+# The USD attributes of each quantity, by priority: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
 _ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
 _FRICTION = (
     *("mjc:frictionloss", "newton:friction"),
@@ -106,7 +106,7 @@ _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 @dataclass(frozen=True)
 class Passive:
-    """A joint's armature in kg·m² (kg), friction loss in N·m (N), damping per rad/s (m/s), stiffness per rad (m)."""
+    """A joint's armature, friction loss, damping, and stiffness in SI units."""
 
     armature: float
     frictionloss: float
@@ -115,7 +115,7 @@ class Passive:
 
 
 def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
-    """Return the passive forces on one axis; MuJoCo's schemas override Newton's, and Newton's override PhysX's."""
+    """Return one axis's passive forces; MuJoCo's schemas override Newton's schemas, which override PhysX's schemas."""
     units, angular = stage.units, axis.kind != "slide"
 
     def winner(became: str, convert: Callable[[float, bool], float], *names: str) -> float:
@@ -140,8 +140,7 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
-        # Only PhysxJointAxisAPI has a value for each joint axis; MuJoCo's, Newton's, and PhysxJointAPI's values apply
-        # to the whole joint.
+        # Only PhysxJointAxisAPI has a value for each joint axis. Values of all other schemas apply to the whole joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:
@@ -184,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether an attribute has the winner's value, or is the winner on a different axis of a ball joint."""
+    """Return whether an attribute has the used value, or is the used attribute on another axis of a ball joint."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 

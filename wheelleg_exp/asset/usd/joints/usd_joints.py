@@ -132,7 +132,7 @@ def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
 
 
 def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
-    """Return the joint's frame in body0 or body1 (or the world); the body's scale stretches localPos."""
+    """Return the joint's frame in body0 or body1 (or the world); the joint's localPos is scaled like the body."""
     position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
     rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
     if not any(rotation):
