@@ -6,8 +6,7 @@ import sys
 import numpy as np
 import pytest
 import rerun as rr
-from inspection.synthetic import Writer, drive, play, training
-from inspection.test_summary import late
+from inspection.synthetic import Writer, drive, late, play, training
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.recording.rrd_file import RrdFile

@@ -90,7 +90,7 @@ def test_a_sweeps_runs_show_what_differs(root):
     ("words", "expected"),
     [
         (("runs", "--filter", "statsu=finished"), ["no run has 'statsu'", "did you mean 'status'"]),
-        (("runs", "--filter", "finished"), ["'finished' is not a condition", "KEY=VALUE"]),
+        (("runs", "--filter", "finished"), ["'finished' is not a valid condition on runs", "KEY=VALUE"]),
         (("runs", "--filter", "return>high"), ["'high' is not a number"]),
         (("runs", "--filter", "status<5"), ["'status' is text, such as 'finished', and 5 is a number", "status=TEXT"]),
         (("runs", "--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),

@@ -100,3 +100,18 @@ def training(path: Path, envs: Mapping[int, float] = {2: 0.0, 5: 1.0}) -> Path:
     iterations = np.arange(10)
     writer.numbers("training/Train/mean_reward", 9.0 - (iterations - 6.0) ** 2, 20 * (iterations + 1), None, iterations)
     return writer.close()
+
+
+def late(path: Path) -> Path:
+    """Record a training whose first sample falls after 20 steps at height 1; the last stands 40 steps at height 2."""
+    writer = Writer(path)
+    steps = np.r_[1:21, 201:241, 301:311]
+    iterations = (steps - 1) // 20
+    writer.numbers("terminations/fallen", steps == 20, steps, None, iterations)
+    writer.numbers("terminations/time_out", steps == 240, steps, None, iterations)
+    writer.numbers("base/height", np.where(steps <= 20, 1.0, 2.0), steps, None, iterations)
+    writer.numbers("rewards/total", np.where(steps == 20, -100.0, 1.0), steps, None, iterations)
+    writer.words("log/episodes", [(20, "env 0: ended by fallen", "WARN"), (240, "env 0: ended by time_out", "INFO")])
+    scalars = np.array([0.0, 5.0, 8.0])
+    writer.numbers("training/Train/mean_reward", scalars, [20, 240, 320], None, [0, 11, 15])
+    return writer.close()

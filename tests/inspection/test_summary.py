@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 import rerun as rr
-from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, drive, play, training
+from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, drive, late, play, training
 
 from wheelleg_exp.files import dump_json
 from wheelleg_exp.inspection.recording_summary import summarize
@@ -119,17 +119,7 @@ def test_environments_of_one_sample_begin_each_with_its_own_episode(tmp_path):
 
 
 def test_figures_of_a_training_are_of_the_last_sample_with_a_whole_episode(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    steps = np.r_[1:21, 201:241, 301:311]
-    iterations = (steps - 1) // 20
-    writer.numbers("terminations/fallen", steps == 20, steps, None, iterations)
-    writer.numbers("terminations/time_out", steps == 240, steps, None, iterations)
-    writer.numbers("base/height", np.where(steps <= 20, 1.0, 2.0), steps, None, iterations)
-    writer.numbers("rewards/total", np.where(steps == 20, -100.0, 1.0), steps, None, iterations)
-    writer.words("log/episodes", [(20, "env 0: ended by fallen", "WARN"), (240, "env 0: ended by time_out", "INFO")])
-    scalars = np.array([0.0, 5.0, 8.0])
-    writer.numbers("training/Train/mean_reward", scalars, [20, 240, 320], None, [0, 11, 15])
-    recording = Recording(writer.close())
+    recording = Recording(late(tmp_path / "r.rrd"))
     summary = summarize(recording)
     assert (summary.sample.iteration, summary.sample.first_step, summary.sample.last_step) == (10, 201, 240)
     assert (summary.figures.survival, summary.figures.mean_reward) == (1.0, pytest.approx(40 * STEP_DT))

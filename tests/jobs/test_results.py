@@ -264,7 +264,7 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     others = [{"resumes": [entry]} for entry in (code, versions, inexact, changed)]
     for other in (*others, {"status": "interrupted"}):
         write_json(run.path / "manifest.json", {**data, **other})
-        with pytest.raises(RunDirectoryError, match="in one go"):
+        with pytest.raises(RunDirectoryError, match="not an uninterrupted training"):
             recipe(run)
 
 

@@ -18,8 +18,9 @@ def test_three_iterations_are_one_and_two_more(make_trainer, tmp_path, agent):
     trained = checkpoint.serialize(trainer.state_dict())
     first = make_trainer(*words)
     list(first.learn(until=1))
+    path = saved(first.state_dict(), tmp_path)
     second = make_trainer(*words, seed=5)
-    second.load_state_dict(checkpoint.load(saved(first.state_dict(), tmp_path)))
+    second.load_state_dict(checkpoint.load(path))
     later = list(second.learn(until=3))
     assert [without_times(done) for done in later] == [without_times(done) for done in straight[1:]]
     assert checkpoint.serialize(second.state_dict()) == trained

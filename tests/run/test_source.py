@@ -280,7 +280,7 @@ def test_an_installed_package_is_recorded_with_its_distribution_and_cannot_be_re
     (folder / "package-1.2.dist-info" / "RECORD").write_text("package/code.py,,\n")
     record = snapshot(folder / "package", tmp_path)
     assert (record["status"], record["distribution"]) == ("installed", "Package==1.2")
-    with pytest.raises(RunDirectoryError, match=r"was not captured.*is installed"):
+    with pytest.raises(RunDirectoryError, match=r"did not store its source code.*is installed"):
         restore_source(tmp_path, tmp_path / "again")
 
 
@@ -306,7 +306,7 @@ def test_a_source_without_git_is_named_as_not_captured(uncaptured, repository, t
     assert record["patch"] is record["tree"] is None
     assert reason in record["note"]
     assert source_lines(record) == [f"warning: the source is not captured: {record['note']}"]
-    with pytest.raises(RunDirectoryError, match="was not captured"):
+    with pytest.raises(RunDirectoryError, match="did not store its source code"):
         restore_source(tmp_path, tmp_path / "again")
 
 

@@ -50,9 +50,7 @@ def require_allowed(target: str, path: str) -> None:
         # The target with its top package replaced by the most similar allowed package; None without a similar package.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
-        declared = (
-            'or in a package that your pyproject.toml declares under [project.entry-points."wheelleg_exp.packages"]'
-        )
+        declared = 'or in a package that your project declares (recipe "A term of your own")'
         message, key = f"target '{target}' is outside the allowed packages", f"{path}.{TARGET}"
         nearest = f"{near}.{rest}" if near not in (None, top) else None
         raise NotAllowed(message, key=key, expected=f"a target in {', '.join(packages)}, {declared}", nearest=nearest)

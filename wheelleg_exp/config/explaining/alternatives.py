@@ -148,8 +148,6 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
     even the primary config composes.
     """
-    from wheelleg_exp.config.composing.compose import compose
-
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     stats = {str(path): path.stat() for folder in folders for path in sorted(folder.rglob("*.yaml"))}
     files = [(path, stat.st_mtime_ns, stat.st_size) for path, stat in stats.items()]
@@ -157,6 +155,8 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
+    from wheelleg_exp.config.composing.compose import compose  # imports Hydra, which a cached answer does not need
+
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
         try:
