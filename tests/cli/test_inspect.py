@@ -201,7 +201,7 @@ def test_a_play_is_compared_with_another_run_s_folder(inspect, run, tmp_path):
         (["absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--term", "base.pitsh"], "did you mean 'base.pitch'"),
         (["r.rrd", "--where", "base.pitch >"], "is not a condition"),
-        (["r.rrd", "--where", "base.pitch", "--around", "far"], "not a length of time"),
+        (["r.rrd", "--where", "base.pitch", "--around", "far"], "not a valid length of time"),
         (["r.rrd", "--stats"], "--stats: the name of a recorded number is missing"),
         (["r.rrd", "--env", "9"], "environment 9 was not recorded"),
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
