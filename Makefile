@@ -18,7 +18,7 @@ test: setup
 	$(BIN)/nox --sessions lint typecheck docs repro
 	$(BIN)/nox --sessions tests
 
-# Lint, types, and all tests that take no training, picture, browser or corpus of robots: for while one works.
+# Lint, types, and the fast tests of single packages.
 quick: setup
 	$(BIN)/nox --sessions lint typecheck quick
 

@@ -18,6 +18,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # tests start hundreds of proce
 SPREAD = ("-n", "logical", "--dist", "loadfile", "--no-loadscope-reorder")
 _MAIN = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main())"
 _PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
+# `quick` leaves out these folders of tests, which start commands, and all tests with these marks.
+WHOLE = ("cli", "evaluation", "foreign", "gym", "jobs", "project", "promises", "report")
 SLOW = "slow or train or repro or full or pictures or browser or corpus"
 
 
@@ -36,8 +38,9 @@ def tests(session: nox.Session) -> None:
 
 @nox.session
 def quick(session: nox.Session) -> None:
-    """Run the tests that need no training, picture, browser or corpus of robots."""
-    _python(session, "pytest", *SPREAD, "--durations=10", "-m", f"not ({SLOW})", *session.posargs)
+    """Run the fast tests of single packages."""
+    outside = [f"--ignore=tests/{folder}" for folder in WHOLE]
+    _python(session, "pytest", *SPREAD, *outside, "--durations=10", "-m", f"not ({SLOW})", *session.posargs)
 
 
 @nox.session

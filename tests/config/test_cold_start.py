@@ -10,6 +10,8 @@ import pytest
 
 from wheelleg_exp.paths import configs_dir
 
+pytestmark = pytest.mark.slow
+
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 HEAVY = {"torch", "mujoco", "rsl_rl", "pxr", "rerun", "tensordict"}
 

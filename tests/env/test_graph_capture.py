@@ -10,6 +10,8 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.graph_capture import CapturedPart, CudaGraph, Recording
 from wheelleg_exp.errors import SimulationFailure
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _as_on_a_gpu(monkeypatch):

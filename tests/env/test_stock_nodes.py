@@ -21,6 +21,8 @@ from wheelleg_exp.build import build_env
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl.determinism import no_global_draws
 
+pytestmark = pytest.mark.slow
+
 MOUNTS = {
     "command": "env.commands",
     "observation": "env.observations.policy.terms",

@@ -3,6 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 PATHS = {
     "actuators": "ImplicitActuator DCMotor",
     "assets": "Articulation ArticulationData AssetBase RigidObject RigidObjectCollection RigidObjectData",

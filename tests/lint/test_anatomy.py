@@ -240,5 +240,5 @@ def test_up_is_against_gravity_and_forward_is_level_for_every_rotation_of_the_ba
 
 
 def test_a_model_without_bodies_is_refused():
-    with pytest.raises(ValueError, match="no bodies"):
+    with pytest.raises(ValueError, match="no robot bodies"):
         anatomy_of(mujoco.MjModel.from_xml_string("<mujoco/>"))

@@ -13,7 +13,7 @@ from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Finding
 from wheelleg_exp.paths import configs_dir
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 
 TERMS = "[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel,last_action]"
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))

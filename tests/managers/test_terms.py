@@ -79,7 +79,7 @@ def _refused(make_env, node):
         ({"_target_": "wheelleg_exp.mdp.reward.is_alive", "weight": 1.0}, "_target_", "import", None),
         ({"weight": 1.0}, "", "_target_", None),
         (3.0, "", "", None),
-        (_own("NotATerm"), "", "not a term class", None),
+        (_own("NotATerm"), "", "not the class of a term", None),
         (_own("Refuses", count=7), "", "", None),
         (SPEED | {"asset_cfg": _entity(name="robott")}, "asset_cfg.name", "", "robot"),
         (SPEED | {"asset_cfg": _entity(name="robot", joint_names=["knee"])}, "asset_cfg.joint_names", "", None),
@@ -122,7 +122,8 @@ def test_no_other_special_key_of_hydra_works(make_env, key):
 
 
 @pytest.mark.parametrize(
-    ("section", "words"), [("actions", "action term"), ("commands", "command term"), ("recorders", "not a recorder")]
+    ("section", "words"),
+    [("actions", "action term"), ("commands", "command term"), ("recorders", "not the class of a recorder")],
 )
 def test_a_class_of_another_section_is_rejected(make_env, section, words):
     with pytest.raises(ConfigError, match=words) as caught:

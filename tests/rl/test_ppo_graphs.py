@@ -13,6 +13,8 @@ from jobs.small import TINY
 
 from wheelleg_exp.rl.ppo_graphs import CapturedUpdate, can_capture_update, is_plain_ppo
 
+pytestmark = pytest.mark.slow
+
 DEVICE = os.environ.get("WHEELLEG_TEST_DEVICE", "cpu")
 UPDATES = 4
 

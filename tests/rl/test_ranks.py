@@ -13,6 +13,8 @@ from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import ranks
 from wheelleg_exp.rl.ranks import ALONE, Ranks, joined
 
+pytestmark = pytest.mark.slow
+
 # Each process prints its received messages; the last line of the first process is an error of the second process.
 _TALK = """
 import json, os, sys

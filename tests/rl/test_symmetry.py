@@ -154,8 +154,8 @@ def test_signs_of_joints_are_those_of_their_axes():
     [
         ({"x(.*)": r"r\1"}, "matches no joint name"),
         ({"l(.*)": r"s\1"}, "the robot has no joint 's1'"),
-        ({"l(": "r"}, "cannot be read"),
-        ({"l(.*)": r"r\2"}, "cannot be read"),
+        ({"l(": "r"}, "regular expression is invalid"),
+        ({"l(.*)": r"r\2"}, "regular expression is invalid"),
     ],
 )
 def test_pairs_that_cannot_be_are_told(pairs, said):

@@ -139,7 +139,7 @@ ONE_WHEEL += "{_target_: wheelleg_exp.managers.SceneEntityCfg, name: contact_for
 @pytest.mark.parametrize(
     ("words", "key", "said"),
     [
-        ([seen("sensors/height_scan"), f"{SCAN}.offset={{pos: [0.0, 0.01, 0.5]}}"], SCAN, "both sides"),
+        ([seen("sensors/height_scan"), f"{SCAN}.offset={{pos: [0.0, 0.01, 0.5]}}"], SCAN, "left-right symmetric"),
         ([seen("sensors/height_scan"), f"{SCAN}.body_name=l_wheel_link"], f"{SCAN}.body_name", "r_wheel_link"),
         ([seen("sensors/imu_ang_vel"), f"{IMU}.offset={{pos: [0.0, 0.01, 0.0]}}"], f"{IMU}.offset.pos", "y = 0"),
         ([seen("sensors/imu_ang_vel"), f"{IMU}.offset={{rot: [0.96, 0.28, 0.0, 0.0]}}"], f"{IMU}.offset.rot", "axes"),

@@ -62,9 +62,9 @@ RING = dae(scene=node('<instance_node url="#n"/>'), nodes='<node id="n"><instanc
 TOWER = dae(scene=node('<instance_node url="#n0"/>'), nodes=floors(INSTANCE))
 NAN_MATRIX = dae(scene=node(f"<matrix>{'nan ' * 16}</matrix><instance_geometry url='#g'/>"))
 DAMAGED: dict[str, tuple[str | bytes, str]] = {  # content, reason
-    "STL of four thousand million faces": (stl(2**32 - 1, 1, 0, 0, 0, 1, 0), "as long as its number of tri"),
+    "STL of four thousand million faces": (stl(2**32 - 1, 1, 0, 0, 0, 1, 0), "does not match its number of triangles"),
     "STL with NaN": (stl(1, NAN, 0, 0, 0, 1, 0), "not finite"),
-    "STL cut short": (stl(1, 1, 0, 0, 0, 1, 0)[:-7], "as long as its number of triangles"),
+    "STL cut short": (stl(1, 1, 0, 0, 0, 1, 0)[:-7], "does not match its number of triangles"),
     "STL of words": ("solid\nvertex a b c\nvertex 0 0 0\nvertex 1 1 1", "could not convert"),
     "STL of two corners": ("solid\nvertex 1 2 3\nvertex 1 2 4", "does not have three corners"),
     "OBJ with an index of 24 digits": (POINTS + "f 1 2 " + "9" * 24, "damaged"),
@@ -72,7 +72,7 @@ DAMAGED: dict[str, tuple[str | bytes, str]] = {  # content, reason
     "OBJ with faces of two corners": (POINTS + "f\nf 1\nf 1 2", "no triangles"),
     "OBJ with points of two numbers": ("v 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "damaged"),
     "OBJ with NaN": (POINTS.replace("1 0 0", "nan 1e999 0") + "f 1 2 3", "not finite"),
-    "OBJ with too many points": (POINTS * 300 + "f 1 2 3\nf 1 2 4\n", f"the file {TOO_MANY}"),
+    "OBJ with too many points": (POINTS * 300 + "f 1 2 3\nf 1 2 4\n", f"the mesh file {TOO_MANY}"),
     "COLLADA of a secret": (dae("0 0 0 1", "&x;", before=SECRET), "document type"),
     "COLLADA with a stride of zero": (dae('stride="3"', 'stride="0"'), "without positions"),
     "COLLADA with an index before the first": (dae("0 1 2 0 1 3", "0 1 -1"), "no triangles"),

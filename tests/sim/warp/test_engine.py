@@ -126,7 +126,7 @@ def test_fields_of_the_model_act_on_their_own_simulation_as_mujocos_do(device):
 
 
 def test_a_field_that_all_simulations_share_is_rejected_by_name(sim):
-    with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp has one 'jnt_limited'"):
+    with pytest.raises(ConfigError, match=r"env\.sim\.engine: mujoco-warp has only one value of 'jnt_limited'"):
         sim.expand("jnt_limited")
     with pytest.raises(ConfigError, match="does not have the field 'qfrc_nobody'"):
         sim.view("qfrc_nobody")

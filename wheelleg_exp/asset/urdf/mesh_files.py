@@ -185,7 +185,7 @@ def read_mesh(path: Path) -> Triangles:
     if len(vertices) + len(faces) > MOST_POINTS:
         raise ValueError(f"the mesh file has more than {MOST_POINTS:,} points and triangles")
     if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("the mesh file has no triangles, or contains invalid vertices")
+        raise ValueError("the mesh file has no triangles, or a vertex that is missing or not finite")
     return vertices, faces
 
 
