@@ -41,14 +41,15 @@ def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]
 
 def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     about = record["about"]
-    profile = f"robot profile `{about['profile']}`, " if about.get("profile") else ""
+    profile = f"the robot profile `{about['profile']}`, " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
-    text = f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
-    yield f"{text}{profile}physics step {about['physics_dt_s']:.6g} s, control step {about['step_dt_s']:.6g} s."
+    text = f"The evaluation used the protocol `{record['protocol']}` with the scenarios `{record['scenarios_sha256'][:16]}`, "
+    text += f"the training seeds {seeds}, {profile}a physics step of {about['physics_dt_s']:.6g} s, and "
+    yield f"{text}a control step of {about['step_dt_s']:.6g} s."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
-    yield f"Trained in {times} on {', and on '.join(machines)}.\n"
+    yield f"The trainings took {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
@@ -112,7 +113,7 @@ def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[st
         seeds = ", ".join(map(str, manifest.get("seeds") or []))
         link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
         yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
-    yield f"\n`nox -s results -- {record['name']}` trains and evaluates them again and compares to the bit."
+    yield f"\n`nox -s results -- {record['name']}` repeats these trainings and evaluations, and checks that each number is equal to the bit."
 
 
 def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
