@@ -43,9 +43,10 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
     about = record["about"]
     profile = f"the robot profile `{about['profile']}`, " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
-    text = f"The evaluation used the protocol `{record['protocol']}` with the scenarios `{record['scenarios_sha256'][:16]}`, "
-    text += f"the training seeds {seeds}, {profile}a physics step of {about['physics_dt_s']:.6g} s, and "
-    yield f"{text}a control step of {about['step_dt_s']:.6g} s."
+    scenarios = record["scenarios_sha256"][:16]
+    yield f"The evaluation used the protocol `{record['protocol']}` with the scenarios `{scenarios}`, the training seeds"
+    steps = f"a physics step of {about['physics_dt_s']:.6g} s, and a control step of {about['step_dt_s']:.6g} s"
+    yield f"{seeds}, {profile}{steps}."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
@@ -113,7 +114,7 @@ def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[st
         seeds = ", ".join(map(str, manifest.get("seeds") or []))
         link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
         yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
-    yield f"\n`nox -s results -- {record['name']}` repeats these trainings and evaluations, and checks that each number is equal to the bit."
+    yield f"\n`nox -s results -- {record['name']}` repeats these trainings and evaluations, and compares each number exactly."
 
 
 def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
