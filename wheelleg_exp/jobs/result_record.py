@@ -44,7 +44,7 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
     profile = f"the robot profile `{about['profile']}`, " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
     scenarios = record["scenarios_sha256"][:16]
-    yield f"The evaluation used the protocol `{record['protocol']}` with the scenarios `{scenarios}`, the training seeds"
+    yield f"The evaluation used the protocol `{record['protocol']}` with the scenarios `{scenarios}`, training seeds"
     steps = f"a physics step of {about['physics_dt_s']:.6g} s, and a control step of {about['step_dt_s']:.6g} s"
     yield f"{seeds}, {profile}{steps}."
     took = [manifest["results"].get("seconds") for manifest in manifests]
@@ -114,7 +114,7 @@ def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[st
         seeds = ", ".join(map(str, manifest.get("seeds") or []))
         link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
         yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
-    yield f"\n`nox -s results -- {record['name']}` repeats these trainings and evaluations, and compares each number exactly."
+    yield f"\n`nox -s results -- {record['name']}` repeats the trainings and compares each number exactly."
 
 
 def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
