@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import changed_states
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
-# Only these config sections can change the numerical results of a training.
+# The config sections that can change the numerical results of a training.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
 _CODE = ("commit", "tree", "dirty", "patch_sha256")
 

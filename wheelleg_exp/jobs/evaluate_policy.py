@@ -1,7 +1,7 @@
 """Evaluate a policy or the reference controller in the test scenarios of a protocol, and save the result.
 
-Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run. ``compare`` compares evaluations of
-several training seeds with each other, with other runs, and with the reference controller.
+Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run. ``compare`` compares the evaluations
+of several training seeds with each other and with a second group of runs.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _is_of_protocol(override: str) -> bool:
     return key.split(".")[0].split("@")[0] in ("protocol", "seed")
 
 
-# A function that draws plots of an evaluation into a folder, and returns the plot files.
+# A function that draws plots of an evaluation as files in a folder, and returns these files.
 Draw = Callable[[Evaluation, Path], list[Path]]
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
@@ -130,8 +130,8 @@ def evaluate_run(
 ) -> Evaluated:
     """Evaluate the mean action of a run's policy, and save the result in the run directory.
 
-    If ``checkpoint`` is None, the run's last checkpoint is evaluated. ``tell`` receives the progress: the name of the
-    current test, the finished steps, and the total steps of this test.
+    If ``checkpoint`` is None, the last checkpoint of the run is evaluated. ``tell`` receives the progress: the name of
+    the current test, the finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
@@ -232,7 +232,7 @@ def read_content(folder: Path) -> dict[str, Any]:
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """Load a saved evaluation with its episodes."""
+    """Load a saved evaluation and the episodes of this evaluation."""
     content = read_content(folder)
     try:
         metrics = {name: _figure(value) for name, value in content["metrics"].items()}
@@ -252,10 +252,10 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the folder of the newest saved evaluation of a checkpoint by a protocol, or None.
+    """Return the folder of the newest saved evaluation of a checkpoint by a protocol; None without an evaluation.
 
-    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Two protocols are
-    equal if their settings are equal, because different overrides can give equal settings.
+    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the config that ``evaluation_settings`` returned. Two
+    protocols are equal if their settings are equal, because different overrides can give equal settings.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
@@ -302,7 +302,7 @@ def compare(
     command: Sequence[str],
     name: str | None = None,
 ) -> Compared:
-    """Compare evaluated runs, and save the result in the run directory of the first run.
+    """Compare the evaluations of runs, and save the comparison in the directory of the first run.
 
     ``runs`` are runs of one training method with different seeds. ``against`` are runs of a second training method, or
     an empty list. ``name`` is the common name of ``runs``, by default the id of the first run.

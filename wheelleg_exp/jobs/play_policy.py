@@ -1,6 +1,6 @@
 """Play a trained policy for one episode, and save the metrics and a recording in the directory of the run.
 
-``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive uses both.
+``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive also calls it.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ _ALTERNATIVES = {
 
 @dataclass(frozen=True)
 class RunPolicy:
-    """A trained policy, and an environment in which the policy can act."""
+    """A trained policy, and an environment in which this policy can act."""
 
     run: RunDirectory
     checkpoint: Path
     tree: Tree  # the run's config sections ``env`` and ``agent``, and the settings of ``configs/play.yaml``
     adapter: RslRlVecEnv
     policy: Any  # returns the mean action
-    about: dict[str, str]  # the file name and the sha256 digest of the checkpoint
+    about: dict[str, str]  # the file name and the sha256 of the policy's checkpoint
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
         """Return a recording of the environment in which the policy acts."""

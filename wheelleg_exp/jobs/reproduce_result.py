@@ -33,7 +33,7 @@ class Reproduction:
     """The result of a reproduction."""
 
     differences: list[str]  # texts about numbers that differ from the record, or empty if all numbers are bitwise equal
-    machine: list[FactDifference]  # differences in hardware, versions, and threads that may change numbers
+    machine: list[FactDifference]  # differences in hardware, versions, and threads that may change the result's numbers
     other_code: bool  # whether the current source files differ from those of the recorded trainings
 
     @property
@@ -57,10 +57,10 @@ def reproduce(
     config_dirs: Sequence[Path] = (),
     trained: dict[str, RunDirectory] | None = None,
 ) -> Reproduction:
-    """Train and evaluate the runs of a result record again, and compare every number with the record.
+    """Train and evaluate the runs of a result's record again, and compare every number with the record.
 
     ``trained`` maps training recipes to finished runs, which are not trained again; the function adds new runs. ``say``
-    receives texts about the progress.
+    receives texts about the progress of the reproduction.
     """
     here = [{"versions": versions(), "hardware": hardware()}]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))

@@ -162,7 +162,7 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifest files in the folder ``NAME/`` that belong to an earlier result of the same name."""
+    """Return the manifest files that an earlier result called ``NAME`` left in the folder ``NAME/``."""
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
@@ -310,7 +310,7 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return a text about the different overrides of two trainings, or about their different initial policies."""
+    """Return a text about how the overrides or the initial policies of two trainings differ."""
     words = set(one["overrides"]), set(other["overrides"])
     sides = (("with", *words), ("without", *words[::-1]))
     parts = [f"{side} {word}" for side, mine, its in sides for word in sorted(mine - its)]

@@ -42,7 +42,7 @@ class StandFigures:
         return self.episodes - self.unfinished
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the metrics as a dictionary of numbers."""
+        """Return the rollout's metrics as a dictionary of numbers."""
         found = asdict(self)
         return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}
 
@@ -119,8 +119,7 @@ class ContactFigures:
 class ContactMeter:
     """Accumulates the contact forces of each link over the steps in which the link's robot stands.
 
-    A robot counts as standing from ``settle_s`` seconds after its reset, as long as its tilt is less than
-    ``upright_rad``.
+    A robot counts as standing from ``settle_s`` seconds after its reset until its tilt reaches ``upright_rad``.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
@@ -165,7 +164,7 @@ def _rms(values: torch.Tensor) -> float:
     return float(values.square().mean().sqrt()) if len(values) else float("nan")
 
 
-SATURATION = 0.99  # A torque above this fraction of the effort limit counts as saturated.
+SATURATION = 0.99  # A motor torque above this fraction of its effort limit counts as saturated.
 DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit does not count.
 
 
@@ -182,7 +181,7 @@ class MotionFigures:
     sign_changes_per_s: dict[str, float]  # by actuator group
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the metrics as a dictionary of numbers."""
+        """Return the rollout's metrics as a dictionary of numbers."""
         return asdict(self)
 
 

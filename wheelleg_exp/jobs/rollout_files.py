@@ -35,7 +35,7 @@ _MAX_CHARACTERS = 400_000  # The viewer cannot show longer texts, counted in cha
 
 
 def fenced(text: str, language: str) -> str:
-    """Return a text as a markdown code block."""
+    """Return ``text`` as a code block of Markdown."""
     if len(text) > _MAX_CHARACTERS:
         text = f"{text[:_MAX_CHARACTERS]}\n… ({len(text)} characters in all)"
     return f"```{language}\n{text.rstrip()}\n```"
@@ -109,9 +109,9 @@ class ObservingRecording:
 class EpisodeRecording(ObservingRecording):
     """A context manager that records every control step of a rollout, until the recording file has its largest size.
 
-    The recording file receives each simulated second as soon as this second has ended. ``options`` contains
-    ``env_ids``, ``max_mb`` and ``live`` from the config section ``recording``. ``purpose`` selects the layout of the
-    viewer that shows the recording. ``name`` is the title of the recording in the viewer.
+    The recording file receives each simulated second as soon as this second has ended. ``options`` contains the
+    settings ``env_ids``, ``max_mb`` and ``live`` of the config section ``recording``. ``purpose`` selects the layout of
+    the viewer that shows the recording. ``name`` is the title of the recording in the viewer.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
 
 @contextmanager
 def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
-    """Yield a new folder named after the current time; an error or interrupt removes the unfinished folder."""
+    """Yield a new folder whose name is the current time; an error or an interrupt removes the folder."""
     folder = create_exclusively(parent, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + suffix)
     try:
         with while_running():

@@ -27,7 +27,7 @@ class Job(Protocol):
     ended: Event | None
 
     def over(self) -> bool:
-        """Return whether the job has ended, successfully or not."""
+        """Return whether the job has ended, with or without success."""
 
     def ask_to_stop(self) -> None:
         """Ask the job to stop after its current training iteration."""
@@ -39,7 +39,7 @@ class Job(Protocol):
         """Kill the job."""
 
     def close(self) -> None:
-        """Close the connection to the job."""
+        """Close the connection to the job's process."""
 
     def describe_death(self) -> str:
         """Return a phrase that describes how a job died without sending a last event."""
@@ -48,7 +48,7 @@ class Job(Protocol):
 class Launcher(Protocol):
     """Starts the jobs of a sweep, and receives the events that the jobs send.
 
-    If ``queued`` is true, a job can wait in a queue after its start; the job sends the event ``began`` when it runs.
+    If ``queued`` is true, a started job can wait in a queue; it sends the event ``began`` when it begins to run.
     """
 
     queued: bool
@@ -61,7 +61,7 @@ class Launcher(Protocol):
 
 
 class LocalLauncher:
-    """Runs sweep jobs as child processes on this machine. The child processes stop when this process is killed."""
+    """Runs sweep jobs as child processes on this machine. If this process is killed, its child processes stop."""
 
     queued = False
 
@@ -71,7 +71,7 @@ class LocalLauncher:
     def start(self, number: int, request: JobRequest) -> Job:
         """Start the child process that runs a job."""
         del number  # The pipes of a local job identify the job.
-        # Pass ``os.environ``, because libraries may have changed the C environment of this process.
+        # Pass ``os.environ`` to the job, because libraries may have changed the C environment of this process.
         return Child(self._program, request.line(), os.environ)
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
@@ -86,13 +86,13 @@ class SweepDisplay(Protocol):
         """Show that a job started."""
 
     def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
-        """Show the number of finished iterations of a job."""
+        """Show the number of training iterations that a job has finished."""
 
     def ended(self, job: Mapping[str, Any]) -> None:
         """Show how a job ended."""
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
-        """Show a line of text about a job."""
+        """Show a line of text about a job of the sweep."""
 
 
 class SweepRunner:
@@ -123,7 +123,7 @@ class SweepRunner:
 
     @while_running()
     def run(self) -> SweepStatus:
-        """Run all jobs, and return the status of the sweep."""
+        """Run all jobs of the sweep, and return the sweep's status."""
         status: SweepStatus = "failed"
         try:
             self._run()
@@ -149,13 +149,13 @@ class SweepRunner:
                 self._listen()
                 self._reap()
         finally:
-            # Stop the jobs that still run when the sweep itself fails or is interrupted for the second time.
+            # If the sweep itself fails or is interrupted for the second time, stop all running jobs.
             try:
                 self._end(lambda job: job.ask_to_stop(), 0.0)
                 self._end(lambda job: job.interrupt(), _PATIENCE_S)
                 self._end(lambda job: job.kill(), _PATIENCE_S)
             finally:
-                for job in self._running:  # A third interrupt ends the wait for the jobs.
+                for job in self._running:  # The third interrupt by the user ends the wait for the jobs.
                     job.kill()
                     job.close()
 

@@ -1,4 +1,4 @@
-"""Save the simulated robot in a run directory, and load a robot from a run directory.
+"""Save the simulated robot in a run directory, and load the robot from a run directory.
 
 A run's folder ``asset/`` contains the robot's MJCF file and meshes, its conversion report, and copied networks.
 ``asset.json`` contains the sha256 of each source file of the robot and of the compiled MuJoCo model.

@@ -1,4 +1,4 @@
-"""Run sweep jobs through the job queue of Slurm (with submitit) or of a Ray cluster.
+"""Run the jobs of a sweep through the queue of Slurm (with submitit) or of a Ray cluster.
 
 A sweep and its job exchange files in the job's folder, which the machines of both must see. The file ``request.json``
 in a job's folder describes the job. A job appends its events to its file ``events.jsonl``. The file ``stop`` in a job's
@@ -105,10 +105,10 @@ class Ticket(Protocol):
         """Return whether the job has left the queue for any reason."""
 
     def cancel(self) -> None:
-        """Remove a waiting job from the queue, or end a running job."""
+        """Remove a waiting job from the queue; end a running job."""
 
     def why(self) -> str:
-        """Return the queue's reason for the end of a job that sent no last event."""
+        """Return the reason that the queue gives for the end of a job that sent no last event."""
 
 
 class QueuedJob:
@@ -147,7 +147,7 @@ class QueuedJob:
             yield event
 
     def over(self) -> bool:
-        """Return whether the job ended, left the queue, or was stopped before it was submitted."""
+        """Return whether the job has ended, left the queue, or was stopped before its submission."""
         return self._stopped if self.ticket is None else self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
@@ -160,7 +160,7 @@ class QueuedJob:
             self.kill()
 
     def interrupt(self) -> None:
-        """Stop the job without waiting for the end of its iteration."""
+        """Stop the job without waiting for the end of its training iteration."""
         write_text(self.folder / STOP, NOW)
 
     def kill(self) -> None:
@@ -172,7 +172,7 @@ class QueuedJob:
         """Do nothing, because the job's event file remains in the job's folder for users."""
 
     def describe_death(self) -> str:
-        """Return the queue's reason for the end of the job."""
+        """Return the reason that the queue gives for the end of the job."""
         return "was never submitted" if self.ticket is None else self.ticket.why()
 
 
@@ -275,7 +275,7 @@ _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "e
 
 
 class RayLauncher(Queue):
-    """Submits each job as one Ray task, with the settings ``ray.init`` and ``ray.remote`` of hydra-ray-launcher."""
+    """Submits each sweep job as a Ray task, with the settings ``ray.init`` and ``ray.remote`` of hydra-ray-launcher."""
 
     def __init__(self, settings: Mapping[str, Any], folder: Path) -> None:
         import ray
@@ -288,7 +288,7 @@ class RayLauncher(Queue):
         try:
             if not ray.is_initialized():
                 ray.init(**init)
-            options = {"max_retries": 0, **chosen["remote"]}  # Ray must not restart a job that died.
+            options = {"max_retries": 0, **chosen["remote"]}  # Ray must not restart a job whose process died.
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
             message = f"Ray refuses it: {_one_line(error)[:300]}"
@@ -296,7 +296,7 @@ class RayLauncher(Queue):
             raise ConfigError(message, key="hydra.launcher.ray", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Submit each job as a Ray task."""
+        """Submit each given job as one Ray task."""
         return [_RayTicket(self._task.remote(str(job.folder))) for job in jobs]
 
 
@@ -331,7 +331,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher ``name`` of Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
+    """Return a launcher by its name in Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

@@ -17,7 +17,7 @@ from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
-# The names of MKL's code branches, in the order of their numbers in mkl_types.h (MKL_CBWR_*).
+# The names of MKL's code branches, ordered by their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
 _in_time: list[bool] = []  # for each call of prepare_threads, whether it was early enough
@@ -64,7 +64,7 @@ def dependent_products(
 ) -> dict[str, Any]:
     """Return changed entries for the result of ``set_threads`` if bfloat16 matrix products depend on the thread count.
 
-    ``samples`` is the number of environment steps in one rollout. ``set_threads`` returns the argument ``threads``.
+    ``samples`` is the number of environment steps in one rollout. ``threads`` comes from ``set_threads``.
     """
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):

@@ -43,12 +43,12 @@ class JobRequest:
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command of a child process that runs a job; ``path`` is the import path (default ``sys.path``)."""
+    """Return the command of a child process that runs a job; ``path`` is its import path (default ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 
 def run_request(request: JobRequest, stop: StopRequest) -> AbstractContextManager[Iterator[Event]]:
-    """Return a context that runs a job in a child process and yields its events (see ``job_events``)."""
+    """Return a context that runs a job in a child process and yields the job's events (see ``job_events``)."""
     return job_events(Child(job_program(), request.line(), own_environ()), stop)
 
 

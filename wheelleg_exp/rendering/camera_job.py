@@ -48,7 +48,7 @@ def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
-    # The light is at the camera, so that a surface that faces the camera has the brightness of its material.
+    # The scene's light is at the camera, so that a surface that faces the camera has the brightness of its material.
     light = model.vis.headlight
     light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
     near, far = order.clipping_range

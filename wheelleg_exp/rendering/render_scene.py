@@ -22,7 +22,7 @@ class Shape:
     """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh."""
 
     kind: str
-    size: tuple[float, ...]  # half edges of a box, m; radius and half length of a cylinder or capsule; empty for a mesh
+    size: tuple[float, ...]  # half edges of a box, m; radius and half length of a cylinder or capsule; none for a mesh
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1
@@ -70,11 +70,11 @@ class Scene:
     fixed: Sequence[Shape]
     ground: Ground | None
     root: int  # the index of the body which the camera follows
-    size: float  # the approximate height of the robot, m
+    size: float  # the approximate height of the drawn robot, m
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, that enclose the robot at body positions (B, 3), m, and orientations (B, 4), wxyz."""
+    """Return points (n, 3), m, that enclose the robot with body positions (B, 3), m, and orientations (B, 4), wxyz."""
     corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 

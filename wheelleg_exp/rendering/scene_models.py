@@ -142,7 +142,7 @@ class Kinematics:
         return positions, orientations
 
     def height(self, root: int, qpos: Array) -> float:
-        """Return the height, m, of the robot with the root body ``root`` at joint positions ``qpos``; at least 0.01."""
+        """Return the height, m, of the robot with root body ``root`` at joint positions ``qpos``, but at least 0.01."""
         self.update(qpos)
         # Collect the body ``root`` and all descendants of this body.
         bodies = [root]

@@ -39,7 +39,7 @@ def write(
     try:
         with for_people(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Write the index at the front of an MP4 file, so that a browser can start playing before the download ends.
+            # Write an MP4 file's index at the front, so that a browser can start playing before the download ends.
             options = {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
             with av.open(str(aside), "w", format=kind, options=options) as container:
                 stream, codec = _stream(container, fps, size)

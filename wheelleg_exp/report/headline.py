@@ -233,7 +233,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
 
 
 def command(subject: Subject) -> str:
-    """Return the command line of the run."""
+    """Return the command line that started the run."""
     words = subject.manifest.get("command")
     return shlex.join(str(word) for word in words) if isinstance(words, list) else ""
 

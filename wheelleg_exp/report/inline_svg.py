@@ -1,4 +1,4 @@
-"""Draw matplotlib plots as inline SVG of an HTML page.
+"""Draw matplotlib plots as SVG inside an HTML page.
 
 ``drawn`` draws each panel of a plot as its own SVG, narrow enough for a phone; HTML text shows the panel's title.
 ``clean`` makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference
@@ -63,7 +63,7 @@ def clean(svg: str, prefix: str, title: str) -> str:
 
 
 def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
-    """Return a copy of an SVG element without namespaces, with only the allowed child elements."""
+    """Return a copy of an SVG element without namespaces and without child elements that are not allowed."""
     copy = ElementTree.Element(_local(element.tag), dict(_attributes(element, prefix)))
     copy.text, copy.tail = element.text, element.tail
     for child in element:

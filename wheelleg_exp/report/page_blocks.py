@@ -63,7 +63,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Facts:
-    """A block of a report page with pairs of a name and a value."""
+    """A block of a report page that lists pairs of a name and a value."""
 
     rows: Sequence[tuple[str, str]]
 

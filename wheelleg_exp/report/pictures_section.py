@@ -37,7 +37,7 @@ class Episode:
     end: float
     step_s: float
     ended_by: tuple[str, ...]
-    is_whole: bool  # whether the episode was recorded from its start to its end
+    is_whole: bool  # whether the episode was recorded completely, from its start to its end
 
     @property
     def seconds(self) -> float:
@@ -165,7 +165,7 @@ def _source(recording: Recording) -> Source:
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
     """Return the motion sample (recorded episodes) and its episode that the pictures of the report show."""
     # ``_FIRST`` selects the first recorded training episode.
-    # ``_PLAY`` selects the first episode of a play, whose metrics the report lists.
+    # ``_PLAY`` selects the first episode of a play, because the report lists the metrics of this episode.
     # ``_LAST`` selects the first complete episode of the last motion sample that contains a complete episode.
     # If the recording has no complete episode, ``_LAST`` selects the longest episode of the last motion sample.
     samples = source.samples()

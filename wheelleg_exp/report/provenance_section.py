@@ -1,4 +1,4 @@
-"""Report sections on provenance and reproducibility.
+"""Build the sections of a report on the provenance and reproducibility of a run.
 
 The report lists the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One section
 compares a run with its manifest, its replays, and runs that have the same settings and seed.
@@ -224,7 +224,7 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 class Repeat:
     """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
-    label: str  # the task and id of the compared run
+    label: str  # the task and id of the run that is compared
     how: str  # the relation to the reported run: ``replay``, ``original``, or ``same settings``
     verdict: str  # the result of comparing the two runs, or ``not compared``
     reason: str

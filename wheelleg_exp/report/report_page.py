@@ -52,7 +52,7 @@ def render_page(page: Page) -> str:
 
 
 NAME = "report.html"
-_HEAD = 4096  # The first 4096 bytes of a report contain the mark with the run's name.
+_HEAD = 4096  # The first 4096 bytes of a report contain the mark that names the run.
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:
@@ -64,7 +64,7 @@ def report_path(subject: Subject, output: Path | None) -> Path:
         message = f"'{path}' exists and is not a report of this run, so it is not overwritten"
         raise RunDirectoryError(message, expected="-o with another name")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
-    # Creating a temporary file raises an error early if the user cannot write into the folder.
+    # Creating a temporary file raises an error early if the user cannot write into the report's folder.
     with for_people(path), tempfile.TemporaryFile(dir=folder):
         return path
 
@@ -102,7 +102,7 @@ Builder = Callable[[], Sequence[Block]]
 
 
 def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
-    """Return the report page of a run."""
+    """Return the report page of one run."""
     unknown = "The outcome of this run is unknown: its manifest is damaged."
     return Page(
         run=subject.id,
@@ -170,7 +170,7 @@ def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
             blocks += builder()
         except WheellegError as error:
             blocks.append(Note(f"This part cannot be shown: {error}."))
-        except Exception as error:  # Damaged files can raise any error.
+        except Exception as error:  # Damaged files of a run can raise any error.
             blocks.append(Note(f"This part cannot be shown: {type(error).__name__}: {error}."))
     return Section(name, title, lead, blocks)
 

@@ -19,7 +19,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
 
 AGENT = "agent"
-KIND = "report"  # The manifest's entries for reports have the kind `report`.
+KIND = "report"  # The kind of the manifest's entries for reports.
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
 
 T = TypeVar("T")
@@ -38,10 +38,10 @@ class Subject:
     """The subject of a report: one training run, or one run of a deployed agent."""
 
     path: Path
-    run: RunDirectory | None  # None for the run of a deployed agent, which has no manifest
+    run: RunDirectory | None  # the training run; None for a deployed agent's run, which has no manifest
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT  # the status in the manifest, ``crashed``, or ``agent``
-    config: dict[str, Any] = field(default_factory=dict)  # the sections ``env`` and ``agent``, without interpolations
+    status: str = AGENT  # the run's status in its manifest, ``crashed``, or ``agent``
+    config: dict[str, Any] = field(default_factory=dict)  # the resolved config sections ``env`` and ``agent``
     overrides: list[str] | None = None  # the user's Hydra overrides, or None if they are unknown
     choices: dict[str, Any] = field(default_factory=dict)  # Hydra's option for each config group (``task``, …)
     config_dirs: tuple[Path, ...] = ()
@@ -159,5 +159,5 @@ def _scalars(subject: Subject) -> dict[str, Series]:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a number and not a boolean."""
+    """Return whether ``value`` is a number and not a boolean."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

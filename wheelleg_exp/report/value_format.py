@@ -1,4 +1,4 @@
-"""Format numbers, durations, sizes, and values for readers."""
+"""Format numbers, durations, sizes, and config values for the readers of a report."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def spoken(name: str) -> str:
 
 
 def capital(text: str) -> str:
-    """Return a text with a capital first letter."""
+    """Return ``text`` with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 

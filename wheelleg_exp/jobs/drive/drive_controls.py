@@ -1,8 +1,8 @@
 """Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
 
-A command axis is one component of a command, such as the forward speed, that the task samples from a range. Keys,
-sliders, and drive scripts can set the command values from any thread. Before each control step, the simulation thread
-reads the command values.
+A command axis is one component of the robot's command, such as the forward speed, with a range of values. Keyboard
+keys, sliders, and drive scripts can set commands from any thread. Before each control step, the simulation thread reads
+the commands.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Axis:
         return self.rest + abs(share) * (end - self.rest)
 
     def bounded(self, value: float) -> float:
-        """Return ``value`` clamped to the command range of the axis."""
+        """Return ``value``, clamped to the command range of the axis."""
         return min(max(value, self.low), self.high)
 
 

@@ -76,7 +76,7 @@ class DriveMeter:
         self._place = None
 
     def figures(self) -> dict[str, Any]:
-        """Return the metrics of the drive as values that JSON can store."""
+        """Return the metrics of the driven robot as values that JSON can store."""
         count = max(self._steps, 1)
         return {
             "duration_s": self._steps * self._env.step_dt,
@@ -107,7 +107,7 @@ class DriveMeter:
 class Status:
     """The state of a driven robot and its episode at one moment, as Python numbers."""
 
-    time_s: float  # the simulated time since the start of the drive, s
+    time_s: float  # the simulated time since the user started to drive, s
     commands: dict[str, float]
     measured: dict[str, float]
     height_m: float
@@ -143,7 +143,7 @@ class DriveSession:
 
     @property
     def time_s(self) -> float:
-        """The simulated time since the start of the drive, s."""
+        """The simulated time since the user started to drive the robot, s."""
         return self.steps * self.env.step_dt
 
     def step(self) -> None:

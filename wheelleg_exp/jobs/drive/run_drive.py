@@ -44,9 +44,9 @@ def scenes() -> list[str]:
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
-    The config for a drive has one robot, episodes of ``drive.episode_length_s``, and no curriculum. In a drive, events
-    happen only at startup and reset. In a drive, the command terms use no heading control and no standing robots.
-    ``scene`` names the scene config with the ground of the drive; ``own`` selects the ground of the training.
+    The config for a drive has one robot, episodes of ``drive.episode_length_s``, and no curriculum. Events, such as
+    pushes, happen only at startup and reset. In a drive, the command terms use no heading control and no standing
+    robots. ``scene`` names the scene config with the ground of the drive; ``own`` selects the ground of the training.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -73,7 +73,7 @@ _MAX_DELAY_S = 0.1  # The pacer does not make up for delays above this limit, so
 
 
 class RealTimePacer:
-    """Waits between control steps, so that the simulation runs in real time."""
+    """Waits between control steps so that simulated time passes as fast as real time."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class RealTimePacer:
         self._due = self._next_frame = clock()
 
     def wait(self, speed: float) -> None:
-        """Wait until the real time at which the next control step is due."""
+        """Wait until the real time at which the next control step must start."""
         self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
         left = self._due - self._clock()
         if left > 0.0:
@@ -116,7 +116,7 @@ class DriveView(Protocol):
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of a drive; ``definitions.drive`` explains the metrics in ``figures``."""
+    """The result of a drive by a user; ``definitions.drive`` explains the metrics in ``figures``."""
 
     checkpoint: Path
     folder: Path

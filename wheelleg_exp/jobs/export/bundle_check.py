@@ -40,10 +40,10 @@ def recorded_episodes(
 ) -> dict[str, np.ndarray]:
     """Record a policy's observations and actions in the first environment, as float32, one row per control step.
 
-    ``policy`` computes the mean action that controls the robot. ``trained`` computes the mean action in float32, as in
-    training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width);
-    ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions,
-    velocities, efforts of all joints.
+    ``policy`` computes the mean action that controls the robot. ``trained`` computes the mean action of the policy in
+    float32, as in training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T,
+    width); ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J):
+    positions, velocities, efforts of all joints.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray]] = {}

@@ -85,7 +85,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
 
 
 def finite(value: float) -> float | None:
-    """Return a number, or None if the number is not finite, because JSON has no inf."""
+    """Return ``value``, or None if it is not finite, because JSON has no inf."""
     return value if abs(value) < float("inf") else None
 
 
@@ -105,7 +105,7 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
-        # The runner adds no delay, because a real robot has a real delay between policy and drives.
+        # The bundle's runner adds no delay, because a real robot has a delay between policy and drives.
         found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
         start += width
     return found

@@ -18,7 +18,7 @@ _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield the C struct members that store an observation term's history and modifier states."""
+    """Yield the C struct members that store the history and the modifier states of an observation term."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"

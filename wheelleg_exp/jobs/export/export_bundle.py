@@ -1,8 +1,8 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
 A bundle is written atomically, after its policy files were compared with the training's simulation. The exported
-environment has no noise, delays, or events, because the real robot has real noise, delays, and disturbances. The
-metadata of ``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
+environment has no noise, delays, or events, because a real robot has noise, delays, and disturbances. The metadata of
+``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
-    """Return the ``env`` config for episodes that the bundle's runner can reproduce from sensor readings.
+    """Return the ``env`` config with which a bundle's runner can reproduce episodes from their sensor readings.
 
     The returned config has no noise, delays, encoder errors, pushes, and randomization of the robot. Wheel joints are
     reset to their default positions, because a runner measures wheel positions from the reset.
@@ -138,15 +138,15 @@ class Exported:
     checkpoint: Path
     folder: Path
     differences: Mapping[str, float]  # for each policy file, its largest difference from the training's simulation
-    notes: Sequence[str]  # sentences about missing parts of the bundle, with reasons
+    notes: Sequence[str]  # sentences about missing parts of the bundle and the reasons
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
     """Write a run's policy as a bundle, by default into the folder ``exported/bundle`` of the run directory.
 
     If the default folder already exists, a number is appended to the name of the bundle's folder. If ``checkpoint`` is
-    None, the run's last checkpoint is exported. ConfigError means that a policy cannot run without the simulation. If
-    an exported policy file gives different actions than the simulation, raise SimulationFailure and write nothing.
+    None, the last checkpoint of the run is exported. ConfigError means that a policy cannot run without the simulation.
+    If an exported policy file gives different actions than the simulation, raise SimulationFailure and write nothing.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
@@ -223,7 +223,7 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
 
 
 def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the range of each command at the end of training, which a curriculum may have widened."""
+    """Return the range of each command at the end of training, because a curriculum may have widened the ranges."""
     found = {}
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})

@@ -1,4 +1,4 @@
-"""Describe observation terms and sensor readings for a bundle's runner; an unsupported term raises ConfigError."""
+"""Describe observation terms and sensor readings for a bundle's runner; ConfigError means an unsupported term."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def reading(name: str) -> Reading:
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the sensor name that observation terms use by default
+_IMU = "imu"  # the name of the sensor that observation terms read by default
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:

@@ -24,11 +24,11 @@ _CHANGEABLE_LATER = ("max_iterations", "gate")  # the settings of a started phas
 def resume_pipeline(
     index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> PipelineSettings:
-    """Check that a pipeline can resume, and return its settings.
+    """Check that a pipeline can be resumed, and return the settings of the pipeline.
 
-    ``overrides`` change phases, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs`` is empty, the
-    pipeline's recorded config folders are used. If the pipeline is running or finished, or if an override is wrong, the
-    pipeline's record remains unchanged.
+    ``overrides`` change phases of the pipeline, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs``
+    is empty, the pipeline's recorded config folders are used. If the pipeline is running or finished, or if an override
+    is wrong, the pipeline's record remains unchanged.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
         message = "this pipeline is still running"

@@ -98,7 +98,7 @@ class PipelineRunner:
     """Runs the unfinished phases of a pipeline, until a phase fails its gate (evaluation) or a stop is requested.
 
     Each training, resume, and evaluation of a pipeline has its own process. The run of a phase is bitwise equal to a
-    run of ``wheelleg train`` with the overrides of this phase. A killed process can be resumed.
+    run of ``wheelleg train`` with the overrides of this phase. A killed training can be resumed.
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
@@ -107,7 +107,7 @@ class PipelineRunner:
 
     @while_running()
     def run(self) -> PipelineStatus:
-        """Run the phases, and return the status of the pipeline."""
+        """Run the unfinished phases of a pipeline, and return the pipeline's status."""
         status: PipelineStatus = "failed"
         why: str | None = None
         try:
@@ -245,7 +245,7 @@ class PipelineRunner:
 
 
 def _finished_iterations(run: Path) -> int:
-    """Return the number of iterations of a finished run; 0 for a run that has not finished."""
+    """Return the number of training iterations of a finished run, or 0 for an unfinished run."""
     with suppress(RunDirectoryError):
         manifest = RunDirectory(run).manifest()
         if manifest.status == "finished":

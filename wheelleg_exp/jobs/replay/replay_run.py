@@ -99,7 +99,7 @@ class Replayed:
     composed: Event  # whether the recorded overrides compose to the snapshot's config (``equal``, ``difference``)
     asset: Event  # ``converted``: whether the robot was converted again; if not, ``note`` is the reason
     notes: list[str]
-    kept: Path | None  # the folder of the restored source code; None if this folder was removed
+    kept: Path | None  # the folder of the restored source code, or None if it was removed
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
@@ -133,13 +133,13 @@ def replay(
 ) -> Replayed:
     """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare the new run with the original.
 
-    A replay does not change the original run, the user's repositories, or the working tree. ``repositories`` are git
-    clones that may contain the run's commits. If ``iterations`` is None, the replay trains all iterations of the
+    A replay does not change the original run or the user's git repositories. ``repositories`` are git clones that may
+    contain the commits of the run's source code. If ``iterations`` is None, the replay trains all iterations of the
     original run. If ``keep`` is true, the replay does not remove the restored source code.
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
-    _config(run, manifest)  # Detect errors in the config before the source code is restored.
+    _config(run, manifest)  # Detect errors in the replay's config before the source code is restored.
     total = iterations_to_train(run, manifest, iterations)
     display.note(describe_code(run))
     with _workplace(keep) as workplace:
@@ -301,7 +301,7 @@ def _train(
 ) -> dict[str, Event]:
     """Train a run again in a child process; return the last event of each type from the child."""
     # With the option -P, Python imports nothing from the working directory.
-    # The code is passed as text, so that the child process imports no file of the current version of this package.
+    # The program is passed as text, so that the child process imports no file of the current ``wheelleg_exp``.
     code = Path(restored_imports.__file__).read_text(encoding="utf-8")
     places = json.dumps({name: str(place) for name, place in source.places.items()})
     last: dict[str, Event] = {}

@@ -35,13 +35,13 @@ class RestoredTree:
 
 @dataclass
 class RestoredSource:
-    """All restored source folders of a run."""
+    """All source folders that were restored for a replay of a run."""
 
     trees: list[RestoredTree] = field(default_factory=list)  # one tree per source folder, this package first
-    places: dict[str, Path] = field(default_factory=dict)  # the restored folder of each top-level package or module
+    places: dict[str, Path] = field(default_factory=dict)  # maps each top-level package to its restored folder
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # folders of further packages that a new run records
+    source_roots: list[Path] = field(default_factory=list)  # the other folders that the new run records
     moved: dict[str, Path] = field(default_factory=dict)  # maps each recorded folder to its restored folder
     notes: list[str] = field(default_factory=list)
 
@@ -99,7 +99,7 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 def _restore(
     run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
-    # Give the restored folder its recorded name, because imports can depend on the name of a folder.
+    # Give the restored source folder its recorded name, because imports can depend on the name.
     name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
     destination = work / "source" / str(number) / name
     with for_people(destination.parent):

@@ -1,4 +1,4 @@
-"""Start a training in a process that imports packages from restored source trees.
+"""Start a training in a process that imports packages from restored source folders.
 
 The file ``restored_imports.py`` runs as a script, before any module of ``wheelleg_exp`` is imported. Its last argument
 is JSON: the folder of each top-level package or module. A module that the restored source lacks is not searched on
@@ -29,7 +29,7 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a restored module; raise ModuleNotFoundError if the restored source lacks the module."""
+        """Return the import spec of a module; raise ModuleNotFoundError if the restored source lacks this module."""
         top = fullname.partition(".")[0]
         if top not in self._places:
             return None
@@ -40,7 +40,7 @@ class RestoredFinder:
 
 
 def main() -> int:
-    """Install the import finder of the restored packages, and run the training."""
+    """Let Python find the restored packages, and run the training."""
     places = json.loads(sys.argv.pop())
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN

@@ -1,8 +1,8 @@
 """Train a run again from its snapshot, in a child process that imports the run's restored source code.
 
 The parent process and the child process may run different versions of ``wheelleg_exp``. The protocol between parent and
-child process (see ``child_process``) is small and has a version number. The child process sends the events ``began``,
-``note``, ``composed``, ``asset``, ``run``, ``iteration`` and ``ended``.
+child process (see ``child_process``) is small and has a version number. The child sends the events ``began``, ``note``,
+``composed``, ``asset``, ``run``, ``iteration`` and ``ended`` to the parent.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ PROTOCOL = 1
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the parent process to train a replay."""
+    """The parent process's request to train a run again from its snapshot."""
 
     protocol: int
     run: str  # the run directory that contains the snapshot
     until: int  # the number of iterations that the replay trains
     root: str  # the root folder of the new run
     name: str  # the name of the new run
-    workplace: str  # a temporary folder, which the parent process removes after the training
+    workplace: str  # a temporary folder that the parent process removes after the training
     config_dirs: list[str]
     projects: list[str]
     source_roots: list[str]
-    moved: dict[str, str]  # maps each recorded folder to its restored folder
+    moved: dict[str, str]  # maps each recorded source folder to its restored folder
     command: list[str]
-    facts: dict[str, Any]  # facts that are added to the manifest of the new run
+    facts: dict[str, Any]  # facts for the manifest of the new run
 
     def line(self) -> bytes:
         """Return the request for a replay as one line of JSON."""
@@ -62,7 +62,7 @@ class Request:
 
 
 class ReplayDisplay(PipeDisplay):
-    """Sends the training's events to the parent process, and stops the training after the last requested iteration."""
+    """Sends the events of a training to the parent process, and stops the training after the requested iterations."""
 
     def __init__(self, pipe: EventPipe, stop: StopRequest) -> None:
         super().__init__(pipe)
@@ -128,7 +128,7 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
     config["recording"] = {**config["recording"], "video_every": 0}
     agent["logger"] = agent.get("logger") and "tensorboard"
-    # A resume may have trained more iterations than the config requests.
+    # A resume may have trained more iterations than the run's config requests.
     agent["max_iterations"] = max(int(agent["max_iterations"]), request.until)
     return config
 

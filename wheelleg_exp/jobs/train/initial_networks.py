@@ -129,7 +129,7 @@ def _shorten(value: Any) -> str:
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# For each value of `init_from_what`, the parts of a checkpoint that a new training copies.
+# The parts of a checkpoint that a new training copies, for each value of `init_from_what`.
 PARTS = {"networks": ("actor", "critic"), "policy": ("actor",), "learning": ("actor", "critic", "optimizer")}
 
 

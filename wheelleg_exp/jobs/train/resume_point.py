@@ -34,7 +34,7 @@ class ResumePoint:
     iteration: int  # the first training iteration that the resume computes
     checkpoint: Path | None  # the checkpoint from which the run resumes; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
-    lines: Sequence[Line]  # all complete lines of the run's iteration log
+    lines: Sequence[Line]  # the complete lines in the run's iteration log
     damaged: Mapping[Path, str]  # checkpoints after ``start`` that cannot be used, each with the reason
 
     @property

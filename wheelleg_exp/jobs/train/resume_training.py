@@ -132,7 +132,7 @@ def _prepare(
     lock: RunLock,
     ranks: Ranks,
 ) -> Training:
-    # 1. Check the run and apply the overrides.
+    # 1. Check the run, and apply the overrides of the resume.
     with ranks.agreed():
         lock.acquire()
         manifest = run.manifest()
@@ -150,7 +150,7 @@ def _prepare(
         _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
         texts = rewritten_files(run, tree, changes, overrides)
         recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
-    # 2. Build environment and networks in every rank.
+    # 2. Build the environment and the networks in every rank.
     if ranks.together:
         ranks.said_by_first(
             {
@@ -165,7 +165,7 @@ def _prepare(
         trainer, threads = build_trainer(recipe, ranks)
     if not manifest.data["source"]:  # The run was killed while its source code was recorded.
         complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
-    # 3. Load the checkpoint, and collect reasons why the resume is inexact.
+    # 3. Load the checkpoint, and collect the reasons why the resumed run may be inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
     why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]

@@ -36,7 +36,7 @@ class StuckCurricula:
         """Yield a warning for each curriculum that became stuck in this training iteration."""
         keys = [key for key in scalars if key.startswith(_CURRICULUM) and key.endswith(_STUCK)]
         marks = {key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): scalars[key] for key in keys}
-        if not marks:  # An iteration without an ended episode logs no scalars of curricula.
+        if not marks:  # A training iteration in which no episode ended logs no scalars of curricula.
             return
         before, self.now = self.now, [name for name, value in marks.items() if value > 0.0]
         for name in self.now:

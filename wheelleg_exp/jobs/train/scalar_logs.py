@@ -111,7 +111,7 @@ def require_wandb(logger: str | None) -> None:
 
 
 class WandbLog:
-    """A context manager that sends scalars to Weights & Biases.
+    """A context manager that sends the scalars of a training to Weights & Biases.
 
     The environment variables of wandb (``WANDB_MODE``, ...) choose where wandb sends the scalars. In Weights & Biases,
     a resumed run has the same id as before the resume.
@@ -132,7 +132,7 @@ class WandbLog:
                 resume="allow",
                 dir=os.environ.get("WANDB_DIR", str(self._directory.root)),
                 config=dict(self._config),
-                force=True,  # Without ``force``, wandb waits until a user enters an API key.
+                force=True,  # Without ``force``, wandb waits for a user to enter an API key.
                 settings=wandb.Settings(**_WANDB_SETTINGS),
             )
         except wandb.Error as error:

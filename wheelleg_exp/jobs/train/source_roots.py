@@ -1,4 +1,4 @@
-"""Find the source folders of a training, and compare a run with the current source code and machine.
+"""Find the source folders of a training, and compare a run's source code and machine with the current ones.
 
 A training's source folders contain this package, the user's projects and configs, and further imported packages. If
 source code, versions, hardware, threads, or environment variables change, a resumed run may differ from an
@@ -105,7 +105,7 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # Do not resolve links first, because the system's module sitecustomize is a link in the standard library.
+    # Do not resolve links in paths, because the system's module sitecustomize is a link in the standard library.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 
@@ -120,7 +120,7 @@ def _unique(paths: Iterable[Path]) -> list[Path]:
 
 
 def shorten(value: Any) -> str:
-    """Return a value as a text of at most 60 characters."""
+    """Return ``value`` as a text of at most 60 characters."""
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

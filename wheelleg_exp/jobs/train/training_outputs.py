@@ -1,4 +1,4 @@
-"""Write the output files of a running training, such as logs, recordings, films, datasets, and checkpoints."""
+"""Write the output files of a training: logs, recordings, films, datasets, and checkpoints."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class Term:
         """Return the measured travel minus the commanded travel, m and rad, clipped to the bounds of the term."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # In the first step after a reset, the travel error is 0.
+        if -1 in self.memory:  # The travel error is 0 in the first step after a reset.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
@@ -165,7 +165,7 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next readings fill every history, and rolling joints count from them."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # each rolling joint's position at the reset minus its default
+        self.zero = np.zeros(len(self.default))  # position of each rolling joint at the reset, minus its default
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
@@ -174,9 +174,9 @@ class Policy:
     def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Return targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of the J joints, (J,) each.
 
-        ``readings`` are the current sensor values and commands, by name. The sensor reading ``base_quat`` (w, x, y, z)
-        can replace the reading ``projected_gravity``. A missing or non-finite sensor reading raises ValueError and
-        leaves the policy's state unchanged.
+        ``readings`` maps the names of sensor readings and commands to their current values. The sensor reading
+        ``base_quat`` (w, x, y, z) can replace the reading ``projected_gravity``. A missing or non-finite sensor reading
+        raises ValueError and leaves the policy's state unchanged.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
@@ -224,7 +224,7 @@ class Policy:
         return actions if bound is None else np.clip(actions, F(-bound), F(bound))
 
     def act(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the joint targets for the last computed action, and update the moving averages of the actions."""
+        """Return the joint targets for the last action of the policy, and update the moving averages of the actions."""
         self.steps += 1
         self.processed = [self.process(term, self.counted(joint_pos)) for term in self.spec["actions"]]
         return self.targets(joint_pos)
@@ -248,7 +248,7 @@ class Policy:
             low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
             if term["rescale"]:
                 x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
-            if "alpha" in term:  # The moving average of the action starts at the current joint positions.
+            if "alpha" in term:  # The moving average of the actions starts at the current joint positions.
                 last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
                 x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
                 self.averages[term["name"]] = x

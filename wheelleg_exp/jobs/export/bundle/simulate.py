@@ -1,8 +1,8 @@
 """Simulate the bundle's robot and policy in MuJoCo, as in ``python simulate.py --seconds 20 --command 0.2 0 0``.
 
-Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status is 1 if the
-robot fell. ``robot/scene.xml`` places the training's robot on level ground. The simulated motor drives compute torques
-as in training.
+Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status of the
+program is 1 if the robot fell. ``robot/scene.xml`` places the training's robot on level ground. The simulated motor
+drives compute torques as in training.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FALLEN = 0.5  # A robot counts as fallen above a tilt of 60 degrees, whose cosin
 class Robot:
     """The simulated robot: its readings, and drives that take targets.
 
-    ``scene`` is an MJCF file with the ground, the robot, and one actuator per driven joint, named after the joint.
+    ``scene`` is an MJCF file with the ground, the robot, and one actuator per driven joint with the joint's name.
     """
 
     def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
@@ -62,7 +62,7 @@ class Robot:
         mujoco.mj_forward(self.model, self.data)
 
     def readings(self, commands: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the sensor readings and commands that the policy needs, by name."""
+        """Return the values of the sensor readings and commands that the policy needs, by name."""
         data, effort = self.data, np.zeros(len(self.qpos))
         for drive, actuators in self.drives:
             effort[drive["joint_ids"]] = data.actuator_force[actuators]
@@ -83,7 +83,7 @@ class Robot:
         }
 
     def imu_readings(self) -> dict[str, np.ndarray]:
-        """Return the readings of the IMUs, without sensor errors."""
+        """Return the readings of the robot's IMUs, without sensor errors."""
         found: dict[str, np.ndarray] = {}
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
