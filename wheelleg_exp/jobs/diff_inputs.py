@@ -34,8 +34,8 @@ _CODE = ("commit", "tree", "dirty", "patch_sha256")
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
     """Load the two training inputs that ``wheelleg diff`` compares.
 
-    Each input of ``wheelleg diff`` is a run (path, id, or ``latest``), a task, or Hydra overrides. Hydra overrides can
-    follow a run or a task. If one input is a run, the input without a run gets facts of this machine.
+    Each input is a run (path, id, or ``latest``), a task, or overrides; overrides can follow a run or a task. If only
+    one of the two inputs is a run, the input that is no run gets the facts of this machine.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -157,7 +157,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts that identify a run's source code; keys of all repositories after the first have numbers."""
+    """Return the facts that identify a run's source code; from the second git repository on, keys have numbers."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}

@@ -66,8 +66,8 @@ def evaluation_settings(
 ) -> dict[str, Any]:
     """Return the config sections ``env``, ``agent``, ``protocol`` and ``seed`` of an evaluation, after its overrides.
 
-    Overrides of ``protocol`` and ``seed`` change the evaluation protocol. All overrides of different sections change
-    the parameters of the evaluated run.
+    Overrides of ``protocol`` and ``seed`` change the evaluation protocol. Overrides of all sections except ``protocol``
+    and ``seed`` change the run's parameters.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)

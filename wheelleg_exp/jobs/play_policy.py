@@ -1,6 +1,6 @@
 """Play a trained policy for one episode, and save the metrics and a recording in the directory of the run.
 
-``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive also calls it.
+``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive uses it, too.
 """
 
 from __future__ import annotations

@@ -179,7 +179,7 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 def course(
     series: Sequence[tuple[Sequence[int], Sequence[float]]],
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return training iterations, and the mean and sample standard deviation of a scalar over several runs at them.
+    """Return training iterations, and a scalar's mean and sample standard deviation over several runs at each of them.
 
     ``series`` contains the training iterations and the scalar's values of each run. For a single run, the standard
     deviation is 0. Only iterations that all runs have are used, so that the mean does not jump where one run ends. Long

@@ -194,7 +194,7 @@ def _drive_one(
 
 
 class _Driver:
-    """Simulates a drive until its script ends, or the user stops or chooses a new checkpoint or ground."""
+    """Simulates a drive until its script ends, the user stops, or the user chooses a new checkpoint or ground."""
 
     def __init__(
         self,

@@ -162,7 +162,7 @@ def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigEr
 def _mistakes_by_phase(
     wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
 ) -> Iterator[ConfigError]:
-    """Yield each mistake in a phase's config with the phase's name; an override that is wrong in all phases, once."""
+    """Yield each mistake in a phase's config with the phase's name, but a wrong override of all phases only once."""
     of_all = [
         {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
         for errors in wrong.values()
