@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import changed_states
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
-# Only these config sections can change the numerical results of a training.
+# The config sections that can change the numerical results of a training.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
 _CODE = ("commit", "tree", "dirty", "patch_sha256")
 
@@ -34,8 +34,8 @@ _CODE = ("commit", "tree", "dirty", "patch_sha256")
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
     """Load the two training inputs that ``wheelleg diff`` compares.
 
-    Each input is a run (path, id, or ``latest``), a task, or Hydra overrides. Overrides can follow a run or a task. If
-    only one input is a run, the other input gets the facts of this machine and of this git checkout.
+    Each input is a run (path, id, or ``latest``), a task, or overrides; overrides can follow a run or a task. If only
+    one of the two inputs is a run, the input that is no run gets the facts of this machine.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -46,7 +46,7 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
 
 
 def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
-    """Return a training input and its composed config; the config is None if the input is a run."""
+    """Return an input of ``wheelleg diff`` and its composed config, which is None if the input is a run."""
     words = split_words(text)
     first, rest = (words[0], words[1:]) if words else ("", [])
     if words and (Path(first) / MANIFEST_NAME).is_file():
@@ -94,7 +94,7 @@ def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
 
 
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
-    """Return the file line or the override that set or deleted a config key, or None."""
+    """Return the YAML line or the override that set or deleted a config key; None if neither is known."""
     places, keys = composed.provenance, split_path(path)
     lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
     if path in lists:
@@ -112,7 +112,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     def where(path: str) -> str | None:
         for text in reversed(typed):
             keys = split_path(text.lstrip("+~").split("=", 1)[0])
-            if keys and split_path(path)[: len(keys)] == keys:  # The override sets the key or a parent key.
+            if keys and split_path(path)[: len(keys)] == keys:  # The override sets the key or its parent key.
                 return f"override {text}"
         part, *inside = split_path(path)
         if part not in PARTS:
@@ -125,7 +125,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
 
 
 def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
-    """Return the recorded config sections of a run that are not stored in the run's folder ``params/``."""
+    """Return those recorded config sections of a run that the run's folder ``params/`` does not contain."""
     manifest = run.manifest()
     sections: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
     if manifest.data.get("seeds"):
@@ -135,7 +135,7 @@ def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
     try:
         recorded = recorded_config(run, manifest.data.get("config_variables") or {})
     except RunDirectoryError:
-        return sections  # Ignore a config with interpolations that cannot be resolved.
+        return sections  # Ignore a config whose interpolations cannot be resolved.
     return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
 
 
@@ -157,7 +157,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts that identify a run's source code; facts of further repositories have numbered keys."""
+    """Return the facts that identify a run's source code; from the second git repository on, keys have numbers."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
@@ -166,7 +166,7 @@ def _code(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
-    """Return the facts of this machine and git checkout that are known before the robot is built."""
+    """Return the facts about this machine and the git checkout that are known before the robot is built."""
     from wheelleg_exp.asset.conversion_cache import find_beside, source_digest
 
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
 """Evaluate a policy or the reference controller in the test scenarios of a protocol, and save the result.
 
-Each evaluation is saved in a folder ``evaluation/<time>/`` of the run directory. ``compare`` compares evaluations of
-several training seeds with each other, with other runs, and with the reference controller.
+Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run. ``compare`` compares the evaluations
+of several training seeds with each other and with a second group of runs.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ _ALTERNATIVES = {
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Any]:
-    """Return the config sections ``env``, ``agent``, ``protocol`` and ``seed`` of an evaluation, with overrides.
+    """Return the config sections ``env``, ``agent``, ``protocol`` and ``seed`` of an evaluation, after its overrides.
 
-    Overrides of ``protocol`` and ``seed`` change the evaluation protocol. All other overrides change the parameters of
-    the run.
+    Overrides of ``protocol`` and ``seed`` change the evaluation protocol. Overrides of all sections except ``protocol``
+    and ``seed`` change the run's parameters.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
@@ -85,7 +85,7 @@ def evaluation_settings(
 
 
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
-    """Return the settings in the config sections ``env`` and ``agent`` that an evaluation uses."""
+    """Return the settings that an evaluation uses from the config sections ``env`` and ``agent``."""
     env = tree["env"]
     height = rewarded_height(env) if protocol.target_height is None else None
     agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
@@ -93,7 +93,7 @@ def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
 
 
 def run_overrides(overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that change the run's parameters, without the overrides of the evaluation protocol."""
+    """Return those overrides of an evaluation that change the parameters of the run, not the evaluation protocol."""
     return [text for text in overrides if not _is_of_protocol(text)]
 
 
@@ -102,7 +102,7 @@ def _is_of_protocol(override: str) -> bool:
     return key.split(".")[0].split("@")[0] in ("protocol", "seed")
 
 
-# A function that draws plots of an evaluation into a folder, and returns the plot files.
+# A function that draws plots of an evaluation as files in a folder, and returns these files.
 Draw = Callable[[Evaluation, Path], list[Path]]
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
@@ -110,7 +110,7 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A finished evaluation; ``content`` is ``evaluation.json``; the reference controller has no ``checkpoint``."""
+    """A finished evaluation; ``content`` is ``evaluation.json``; the reference controller's ``checkpoint`` is None."""
 
     run: RunDirectory
     checkpoint: Path | None
@@ -130,8 +130,8 @@ def evaluate_run(
 ) -> Evaluated:
     """Evaluate the mean action of a run's policy, and save the result in the run directory.
 
-    If ``checkpoint`` is None, the run's last checkpoint is evaluated. ``tell`` receives the progress: the name of the
-    current test, the finished steps, and the total steps of this test.
+    If ``checkpoint`` is None, the last checkpoint of the run is evaluated. ``tell`` receives the progress: the name of
+    the current test, the finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
@@ -150,8 +150,8 @@ def evaluate_reference(
 ) -> Evaluated:
     """Evaluate the reference controller on a run's robot and task, and save the result in the run directory.
 
-    The arguments are explained in ``evaluate_run``. ConfigError means that the reference controller cannot balance this
-    robot.
+    ``evaluate_run`` explains the arguments of this function. The function raises ConfigError if the reference
+    controller cannot balance the robot.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -168,9 +168,9 @@ def evaluate_reference(
 def _save(
     run: RunDirectory, kind: str, content: dict[str, Any], found: Evaluation, command: Sequence[str], draw: Draw | None
 ) -> Path:
-    """Write the evaluation into the run directory, atomically, and return the folder."""
+    """Write the evaluation into a new folder of the run directory, atomically, and return this folder."""
     with dated_folder(run.evaluation) as folder:
-        # Write the episodes as CSV, one row per episode; Python's number format preserves every bit of a float.
+        # Write the evaluated episodes as CSV, one per row; Python's number format preserves every bit of a float.
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(found.episodes)
@@ -232,7 +232,7 @@ def read_content(folder: Path) -> dict[str, Any]:
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """Load a saved evaluation with its episodes."""
+    """Load a saved evaluation and the episodes of this evaluation."""
     content = read_content(folder)
     try:
         metrics = {name: _figure(value) for name, value in content["metrics"].items()}
@@ -252,10 +252,10 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the folder of the newest saved evaluation of a checkpoint by a protocol, or None.
+    """Return the folder of the newest saved evaluation of a checkpoint by a protocol; None without an evaluation.
 
-    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the result of ``evaluation_settings``. Protocols are compared
-    by their settings, because different overrides can give equal protocols.
+    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the config that ``evaluation_settings`` returned. Two
+    protocols are equal if their settings are equal, because different overrides can give equal settings.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
@@ -289,8 +289,8 @@ class Compared:
 
     folder: Path
     seeds: list[OverSeeds]
-    differences: list[Difference]  # empty without another method
-    verdict: str  # empty without another method
+    differences: list[Difference]  # empty without ``against``
+    verdict: str  # empty without ``against``
     push_verdict: str
     content: dict[str, Any]  # the content of ``comparison.json``
 
@@ -302,15 +302,15 @@ def compare(
     command: Sequence[str],
     name: str | None = None,
 ) -> Compared:
-    """Compare evaluated runs, and save the result in the run directory of the first run.
+    """Compare the evaluations of runs, and save the comparison in the directory of the first run.
 
-    ``runs`` are runs of one training method with different seeds. ``against`` are runs of another method, or an empty
-    list. ``name`` is the name of the group ``runs``, by default the id of its first run.
+    ``runs`` are runs of one training method with different seeds. ``against`` are runs of a second training method, or
+    an empty list. ``name`` is the common name of ``runs``, by default the id of the first run.
     """
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # Only trained runs are counted, because the reference controller has no training seeds.
+    # Count only trained runs, because the reference controller has no training seed.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)
@@ -336,7 +336,7 @@ def compare(
 
 
 def group_name(made: Sequence[Evaluated]) -> str:
-    """Return the name of a group of evaluated runs, for use in a sentence."""
+    """Return a name for a group of evaluated runs, for use in a sentence."""
     names = [display_name(one) for one in made]
     return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
 

@@ -11,19 +11,19 @@ if TYPE_CHECKING:
 
 
 class Display:
-    """Receives the progress and the results of a job. The methods of this base class do nothing."""
+    """Receives the progress and the results of a job, such as a training; the methods of this base class do nothing."""
 
     def environment(self, description: str) -> None:
-        """Show the tables of the environment's managers."""
+        """Show the tables of an environment's managers."""
 
     def note(self, text: str) -> None:
         """Show one line."""
 
     def iteration(self, iteration: Iteration, total: int) -> None:
-        """Show that a training iteration has finished."""
+        """Show that one training iteration has finished."""
 
     def steps(self, done: int, total: int) -> None:
-        """Show how many steps of a rollout are done."""
+        """Show how many steps of a rollout are finished."""
 
 
 class PipeDisplay(Display):

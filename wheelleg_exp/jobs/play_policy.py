@@ -1,4 +1,4 @@
-"""Play a trained policy for one episode, and save metrics and a recording in the run directory.
+"""Play a trained policy for one episode, and save the metrics and a recording in the directory of the run.
 
 ``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive uses it, too.
 """
@@ -52,17 +52,17 @@ _ALTERNATIVES = {
 
 @dataclass(frozen=True)
 class RunPolicy:
-    """A trained policy, and an environment in which the policy can act."""
+    """A trained policy, and an environment in which this policy can act."""
 
     run: RunDirectory
     checkpoint: Path
     tree: Tree  # the run's config sections ``env`` and ``agent``, and the settings of ``configs/play.yaml``
     adapter: RslRlVecEnv
     policy: Any  # returns the mean action
-    about: dict[str, str]  # the file name and the sha256 digest of the checkpoint
+    about: dict[str, str]  # the file name and the sha256 of the policy's checkpoint
 
     def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
-        """Return a recording of the environment, for a play or a drive of the policy."""
+        """Return a recording of the environment in which the policy acts."""
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
         task, path = self.run.manifest().data.get("task"), folder / "recording.rrd"
         about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
@@ -78,10 +78,10 @@ def prepare_policy(
     display: Display,
     change: Callable[[Tree], Tree] | None = None,
 ) -> RunPolicy:
-    """Load a run's policy, and build an environment from the run's config.
+    """Load a run's policy, and build an environment from the config of this run.
 
-    If ``checkpoint`` is None, the last checkpoint is loaded. ``change`` is a function that changes the config tree
-    after the overrides are applied.
+    If ``checkpoint`` is None, the last checkpoint of the run is loaded. The function ``change`` changes the config
+    after the overrides.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
@@ -126,7 +126,7 @@ class Played:
 def play(
     run: RunDirectory, checkpoint: Path | None, overrides: Sequence[str], command: Sequence[str], display: Display
 ) -> Played:
-    """Play the mean action of a policy, by default of the last checkpoint, for one episode of each environment."""
+    """Apply the mean action of a policy (by default the last checkpoint) for one episode of each environment."""
     prepared = prepare_policy(run, checkpoint, overrides, display)
     tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
     settle_s = float(tree["play"]["settle_s"])

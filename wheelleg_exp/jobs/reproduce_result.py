@@ -32,13 +32,13 @@ _COMMAND = ("wheelleg", "results")
 class Reproduction:
     """The result of a reproduction."""
 
-    differences: list[str]  # texts about numbers that differ from the record; empty if all numbers are bitwise equal
-    machine: list[FactDifference]  # differences in hardware, versions, and threads that may change numbers
-    other_code: bool  # whether the source files differ from the source files of the recorded trainings
+    differences: list[str]  # texts about numbers that differ from the record, or empty if all numbers are bitwise equal
+    machine: list[FactDifference]  # differences in hardware, versions, and threads that may change the result's numbers
+    other_code: bool  # whether the current source files differ from those of the recorded trainings
 
     @property
     def verdict(self) -> str:
-        """A sentence about the outcome of the reproduction."""
+        """A sentence that says whether the reproduction gave equal numbers."""
         if not self.differences:
             return "reproduced to the bit" + (", on another machine" if self.machine else "")
         why = ["with other source files"] if self.other_code else []
@@ -57,10 +57,10 @@ def reproduce(
     config_dirs: Sequence[Path] = (),
     trained: dict[str, RunDirectory] | None = None,
 ) -> Reproduction:
-    """Train and evaluate the runs of a result record again, and compare every number with the record.
+    """Train and evaluate the runs of a result's record again, and compare every number with the record.
 
-    ``trained`` maps training recipes to finished runs, which are not trained again; new runs are added to ``trained``.
-    ``say`` receives texts about the progress.
+    ``trained`` maps training recipes to finished runs, which are not trained again; the function adds new runs. ``say``
+    receives texts about the progress of the reproduction.
     """
     here = [{"versions": versions(), "hardware": hardware()}]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))
@@ -85,7 +85,7 @@ def reproduce(
 
 
 def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
-    """Yield texts that describe how an evaluation differs from the recorded evaluation."""
+    """Yield texts that describe how a new evaluation differs from the recorded evaluation."""
     now = evaluation_numbers(made)
     for key in ("seed", "scenarios_sha256", "starts_sha256"):
         if now[key] != recorded[key]:
@@ -95,11 +95,11 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # The value is equal, but the unit may differ.
+            yield from _leaf_differences(was, is_now, name)  # The units of equal numbers may differ.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
-    """Yield differences of networks and evaluations; if all are equal, yield differences of the comparisons of runs."""
+    """Yield the differences between a result's recorded and new networks, evaluations, and comparisons of runs."""
     equal = True
     for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
         now = parameters(made.run)
@@ -119,7 +119,7 @@ def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference
 
 
 def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
-    """Yield a text for every number or string that differs between two nested values."""
+    """Yield a text for each number or string that differs between two nested values."""
     for change in plain_changes(was, now, keys):
         yield f"{change.key} is {shorten(change.b)}, and was {shorten(change.a)}"
 
@@ -127,7 +127,7 @@ def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
 def _machine_differences(
     was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
 ) -> list[FactDifference]:
-    """Return machine differences that may change results; ``early`` skips facts that only an imported torch knows."""
+    """Return machine differences that may change results; ``early`` leaves out facts that need an import of torch."""
     unknown = UNKNOWN_BEFORE_TORCH if early else ()
     sides = zip(was, now, strict=True)
     facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]
@@ -162,7 +162,7 @@ def _trained_run(
 
 
 def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
-    """Train a run with the recorded overrides ``words`` in a child process; return the path of the run directory."""
+    """Train a run with the recorded overrides ``words`` in a child process; return the path of the new run."""
     digest = digest_of(compose_valid(words, config_dirs=config_dirs))
     request = JobRequest("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
     with run_request(request, StopRequest()) as events:

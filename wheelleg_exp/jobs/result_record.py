@@ -1,6 +1,6 @@
 """Write a result: the record with all numbers, the page in Markdown, and the manifests of its runs.
 
-The record also contains the data to reproduce the result's numbers (see ``reproduce_result``).
+A result's record contains the data that are needed to reproduce the result's numbers (see ``reproduce_result``).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the machines on which a run was trained, in order; a resumed run can have several machines."""
+    """Yield the machines on which a run was trained, in order; each resume of a run can add a machine."""
     for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
         hardware = process.get("hardware") or {}
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
@@ -92,7 +92,7 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 
 def _outcome(difference: Mapping[str, Any], count: int) -> str:
-    """Return the outcome of a comparison, with a footnote mark if new training seeds may give another outcome."""
+    """Return the outcome of a comparison, with a footnote mark if new training seeds may change the outcome."""
     outcome = str(difference.get("outcome", ""))
     low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
@@ -130,12 +130,12 @@ def _number(value: float | None, factor: float) -> str:
 
 
 FORMAT = 2
-# A result stores these keys of a run's manifest, but no keys about folders and processes of the machine.
+# The keys of a run's manifest that a result stores, without keys about folders and processes of the machine.
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# Overrides with these prefixes contain folders of the machine, so a training recipe leaves them out.
+# The prefixes of overrides that name folders of the machine, which a training recipe leaves out.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -144,8 +144,8 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    The new files replace an earlier result of the same name. The manifests of the earlier result are removed. ``words``
-    are the overrides that were given to the evaluations.
+    The new result files replace the files of an earlier result that has the same name. The manifests of an earlier
+    result that has the same name are removed. ``words`` are the Hydra overrides of the evaluations.
     """
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -164,7 +164,7 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifest files in the folder ``NAME/`` that belong to an earlier result of the same name."""
+    """Return the manifest files that an earlier result called ``NAME`` left in the folder ``NAME/``."""
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
@@ -179,14 +179,14 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
 def compare_with_reference(
     name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
 ) -> Compared:
-    """Compare the runs with the reference controller; without a reference evaluation, compare only the runs."""
+    """Compare the runs with each other and, if its evaluation is given, with the reference controller."""
     return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
 def build_record(
     name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the record of a result; the arguments are explained in ``write_results``."""
+    """Return the record of a result; ``write_results`` explains the arguments."""
     return {
         "format": FORMAT,
         "name": name,
@@ -226,12 +226,12 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """Read the manifests of a record's runs from the folder that has the record's name."""
+    """Read the manifests of the runs in a result's record, from the folder with the record's name."""
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
 def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Read a result's record and manifests; raise RunDirectoryError unless the result's page agrees with the record."""
+    """Read the record and the manifests of a result; raise RunDirectoryError unless its page agrees with its record."""
     path = folder / f"{name}.json"
     record = read_record(path)
     try:
@@ -250,7 +250,7 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
 
 
 def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
-    """Return the overrides of a training recipe, and the overrides of the recipe of its initial policy."""
+    """Return the overrides of a training recipe, and those of the recipe that trained its initial policy."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
 
 
@@ -265,9 +265,9 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A run whose resumes are exact equals an uninterrupted training with the final number of iterations. A run that was
-    resumed on another machine also equals one training, if both machines compute alike: the page names both machines.
-    RunDirectoryError means that an uninterrupted training cannot reproduce the run.
+    A run with exact resumes equals an uninterrupted training with the same number of iterations. A run that was resumed
+    on another machine also equals one training, if both machines compute alike: the page names both machines.
+    RunDirectoryError means that no uninterrupted training can reproduce the run.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
@@ -292,12 +292,12 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether different hardware is the only reason why a resume is inexact."""
+    """Return whether different hardware is the only reason why a resumed run is inexact."""
     return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:
-    """Raise RunDirectoryError unless the runs differ only in their seeds."""
+    """Raise RunDirectoryError if the given runs differ in more settings than their seeds."""
     first, *others = (_method(recipe(run)) for run in runs)
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
@@ -312,7 +312,7 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return a text about the different overrides of two trainings, or about their different initial policies."""
+    """Return a text about how the overrides or the initial policies of two trainings differ."""
     words = set(one["overrides"]), set(other["overrides"])
     sides = (("with", *words), ("without", *words[::-1]))
     parts = [f"{side} {word}" for side, mine, its in sides for word in sorted(mine - its)]
@@ -324,20 +324,20 @@ def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> st
 
 
 def parameters(run: RunDirectory) -> str:
-    """Return the digest of the final networks of a run."""
+    """Return the digest (hash) of a run's final networks."""
     with for_people(run.iterations, "read"):
         last = run.iterations.read_text(encoding="utf-8").splitlines()[-1]
     return str(json.loads(last)["digests"]["parameters"])
 
 
 def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
-    """Return the numbers of an evaluation that must be equal in a reproduction."""
+    """Return the numbers of an evaluation that a reproduction must repeat exactly."""
     content = made.content
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 
 
 def result_manifest(run: RunDirectory) -> dict[str, Any]:
-    """Return the part of a run's manifest that a result stores."""
+    """Return the part of a run's manifest that belongs into a result."""
     data = run.manifest().data
     source = data.get("source") or {}
     result = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}

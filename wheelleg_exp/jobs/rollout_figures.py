@@ -1,7 +1,7 @@
 """Figures of a rollout: survival, base height and pitch, contact forces, drift, smoothness, and motor load.
 
-The meters measure an environment after each control step, before the environment is reset. ``definitions.rollout``
-defines each figure.
+Each meter measures an environment after every control step, before the environment is reset. The module
+``definitions.rollout`` defines each metric of a rollout.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from wheelleg_exp.sim.sensors import ContactSensor
 
 @dataclass(frozen=True)
 class StandFigures:
-    """Metrics of standing in the first episode of each environment; ``definitions.rollout`` defines each metric."""
+    """Metrics of how a robot stands in the first episode of each environment; ``definitions.rollout`` defines them."""
 
     episodes: int
     unfinished: int
-    survival: float | None  # the fraction of the ended episodes that reached the time-out
-    settle_s: float  # Height and pitch are not measured in this first part of each episode.
+    survival: float | None  # the share of all ended episodes that reached the time-out
+    settle_s: float  # the duration at the start of each episode without a measurement of height and pitch
     settled_episodes: int
     settled_steps: int
     height_rmse_m: float | None
@@ -33,22 +33,22 @@ class StandFigures:
     pitch_rms_deg: float  # against upright
     pitch_mean_deg: float
     mean_return: float | None
-    ended_by: dict[str, int]  # the number of episodes by termination, or by combination of simultaneous terminations
+    ended_by: dict[str, int]  # the number of episodes by termination, or by simultaneous terminations
     non_finite: dict[str, int] = field(default_factory=dict)
 
     @property
     def ended(self) -> int:
-        """The number of environments whose first episode has ended."""
+        """The number of environments in which the first episode has ended."""
         return self.episodes - self.unfinished
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the metrics as a dictionary of numbers."""
+        """Return the rollout's metrics as a dictionary of numbers."""
         found = asdict(self)
         return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}
 
 
 class StandMeter:
-    """Measures standing in each environment's first episode; height and pitch count after ``settle_s`` seconds."""
+    """Measures how robots stand in each environment's first episode; height and pitch count after ``settle_s``, s."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -65,7 +65,7 @@ class StandMeter:
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
-        """Measure the last control step; call this method before environments are reset."""
+        """Measure the environments after a control step; call this method before environments are reset."""
         env, now = self._env, self.running
         for env_id, keys in env.extras.get("non_finite", {"keys": {}})["keys"].items():
             if now[env_id]:
@@ -83,7 +83,7 @@ class StandMeter:
         self.running = now & ~done
 
     def figures(self) -> StandFigures:
-        """Return the metrics of the episodes measured so far."""
+        """Return the metrics of the episodes that were measured."""
         heights, pitches = torch.cat(self._heights), torch.rad2deg(torch.cat(self._pitches))
         error = None if self._target is None else heights - self._target
         ended = ~self.running
@@ -112,15 +112,14 @@ class ContactFigures:
     body: str
     mean_n: float
     max_n: float
-    contact_share: float  # the fraction of control steps in which the link had contact
-    steps: int  # the number of control steps, summed over the environments
+    contact_share: float  # the share of the counted control steps in which the link had contact
+    steps: int  # the number of counted control steps, summed over all environments
 
 
 class ContactMeter:
-    """Accumulates the contact forces of each link while the link's robot stands.
+    """Accumulates the contact forces of each link over the steps in which the link's robot stands.
 
-    A robot counts as standing from ``settle_s`` seconds after its reset, as long as its tilt is less than
-    ``upright_rad``.
+    A robot counts as standing from ``settle_s`` seconds after its reset until its tilt reaches ``upright_rad``.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
@@ -132,7 +131,7 @@ class ContactMeter:
         self._count = 0
 
     def observe(self) -> None:
-        """Measure the last control step; call this method before environments are reset."""
+        """Measure the environments after a control step; call this method before environments are reset."""
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
@@ -144,7 +143,7 @@ class ContactMeter:
             self._count += len(force)
 
     def figures(self) -> list[ContactFigures]:
-        """Return the contact figures of each link, in the order of the sensor; empty if no robot stood."""
+        """Return the contact forces of each link, in the order of the sensor's links; empty if no robot stood."""
         count = self._count
         if count == 0:
             return []
@@ -153,7 +152,7 @@ class ContactMeter:
 
 
 def target_height(env: ManagerBasedRLEnv) -> float | None:
-    """Return the target height of the base in a reward term of the task, m, or None without such a term."""
+    """Return the height of the robot's base, m, that a reward term of the task rewards; None without this term."""
     for name in env.reward_manager.active_terms:
         target = env.reward_manager.get_term_cfg(name).params.get("target_height")
         if target is not None:
@@ -165,29 +164,29 @@ def _rms(values: torch.Tensor) -> float:
     return float(values.square().mean().sqrt()) if len(values) else float("nan")
 
 
-SATURATION = 0.99  # A torque above this fraction of the effort limit counts as saturated.
-DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit is ignored.
+SATURATION = 0.99  # A motor torque above this fraction of its effort limit counts as saturated.
+DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit does not count.
 
 
 @dataclass(frozen=True)
 class MotionFigures:
-    """Metrics of motion in the first episode of each environment; ``definitions.rollout`` defines each metric."""
+    """Metrics of how a robot moves in the first episode of each environment; ``definitions.rollout`` defines them."""
 
     drift_m: float | None
     yaw_drift_deg: float | None
     action_rate_per_s: float | None
     power_net_w: float | None
     torque_rms_nm: dict[str, float]  # by actuator group
-    at_limit: dict[str, float]  # for each actuator group, the fraction of physics steps at the effort limit
+    at_limit: dict[str, float]  # for each actuator group, the share of physics steps at the torque limit
     sign_changes_per_s: dict[str, float]  # by actuator group
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the metrics as a dictionary of numbers."""
+        """Return the rollout's metrics as a dictionary of numbers."""
         return asdict(self)
 
 
 class MotionMeter:
-    """Measures motion in the first episode of each environment, without the episode's first ``settle_s`` seconds."""
+    """Measures how robots move in each environment's first episode, from ``settle_s`` seconds after its start."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env, self._settle_steps = env, settle_s / env.step_dt
@@ -208,7 +207,7 @@ class MotionMeter:
         self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
-        """Measure the last control step; call this method before environments are reset."""
+        """Measure the environments after a control step; call this method before environments are reset."""
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)
@@ -236,7 +235,7 @@ class MotionMeter:
         self._effort.begin(now)
 
     def figures(self) -> MotionFigures:
-        """Return the metrics of the episodes measured so far."""
+        """Return the metrics of the episodes that were measured."""
         dt, steps, pairs = self._env.step_dt, float(self._steps.sum()), float(self._pairs.sum())
         none = {} if steps == 0.0 else self._groups
 

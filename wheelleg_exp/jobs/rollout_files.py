@@ -1,7 +1,7 @@
 """Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
 
-``EpisodeRecording`` records a rollout as one segment. A dataset contains the episodes that recorder terms collected, as
-``.npz`` archives (see `docs/datasets.md`).
+``EpisodeRecording`` records a whole rollout as one segment of a recording file. A dataset consists of ``.npz`` archives
+with the episodes that recorder terms collected (see `docs/datasets.md`).
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
-_MAX_CHARACTERS = 400_000  # The viewer cannot show a text with more characters.
+_MAX_CHARACTERS = 400_000  # The viewer cannot show longer texts, counted in characters.
 
 
 def fenced(text: str, language: str) -> str:
-    """Return a text as a markdown code block."""
+    """Return ``text`` as a code block of Markdown."""
     if len(text) > _MAX_CHARACTERS:
         text = f"{text[:_MAX_CHARACTERS]}\n… ({len(text)} characters in all)"
     return f"```{language}\n{text.rstrip()}\n```"
@@ -57,12 +57,12 @@ def run_documents(directory: RunDirectory) -> dict[str, str]:
 
 
 def command_document(command: Sequence[str]) -> dict[str, str]:
-    """Return the command line as a text document for the recording; no document for an empty command line."""
+    """Return a command line as a text document for a recording; an empty command line gives no document."""
     return {"command": fenced(shlex.join(command), "sh")} if command else {}
 
 
 def config_document(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return a composed config as a text document for the recording."""
+    """Return a composed config as a text document for a recording."""
     return {"config": fenced(dump_yaml(dict(config)), "yaml")}
 
 
@@ -74,7 +74,7 @@ def _command(manifest: str) -> list[str]:
 
 
 class ObservingRecording:
-    """A context manager that records every control step, optionally live in a viewer; ``notes`` are its warnings."""
+    """A context manager that records every control step of an environment; ``notes`` are the recording's warnings."""
 
     def __init__(self, env: ManagerBasedRLEnv, recorder: Recorder, *, live: bool) -> None:
         self._env, self._recorder, self._is_live = env, recorder, live
@@ -98,7 +98,7 @@ class ObservingRecording:
                 self._live.close()
 
     def warn(self, report: Callable[[str], None]) -> None:
-        """Pass each note of the recording to ``report`` as a warning."""
+        """Pass each note about the recording to ``report`` as a warning."""
         for note in self.notes:
             report(f"warning: {note}")
 
@@ -107,11 +107,11 @@ class ObservingRecording:
 
 
 class EpisodeRecording(ObservingRecording):
-    """A context manager that records every control step, up to the limit on the file's size.
+    """A context manager that records every control step of a rollout, until the recording file has its largest size.
 
-    Each simulated second is written to the recording file as soon as the second has ended. ``options`` contains
-    ``env_ids``, ``max_mb`` and ``live`` from the config section ``recording``. ``purpose`` decides the layout of the
-    viewer. The viewer shows ``name`` as the title.
+    The recording file receives each simulated second as soon as this second has ended. ``options`` contains the
+    settings ``env_ids``, ``max_mb`` and ``live`` of the config section ``recording``. ``purpose`` selects the layout of
+    the viewer that shows the recording. ``name`` is the title of the recording in the viewer.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class EpisodeRecording(ObservingRecording):
         return self._recorder.path
 
     def figures(self, value: Any) -> None:
-        """Write the final metrics into the recording."""
+        """Write the rollout's final metrics into the recording."""
         self._recorder.document(FIGURES, fenced(dump_json(value), "json"))
 
     def _begin_recording(self) -> None:
@@ -163,7 +163,7 @@ _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
 
 @contextmanager
 def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
-    """Yield a new folder named after the current time; an error or interrupt removes the unfinished folder."""
+    """Yield a new folder whose name is the current time; an error or an interrupt removes the folder."""
     folder = create_exclusively(parent, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + suffix)
     try:
         with while_running():
@@ -174,7 +174,7 @@ def dated_folder(parent: Path, suffix: str = "") -> Iterator[Path]:
 
 
 def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
-    """Return a checkpoint's path, relative to the run directory if possible, and the checkpoint's sha256 digest."""
+    """Return a checkpoint's path (relative to the run directory if possible) and the checkpoint's sha256."""
     path = checkpoint.resolve()
     name = path.relative_to(run.path) if path.is_relative_to(run.path) else path
     return {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
@@ -186,16 +186,16 @@ def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[
 
 
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
-    """Write the remaining episodes; include unfinished episodes if ``env.dataset.export_in_close`` is set.
+    """Write the dataset's remaining episodes; write unfinished episodes if ``env.dataset.export_in_close`` is true.
 
-    If ``iteration`` is None, the file is ``episodes.npz``, for a rollout that has not written any file.
+    If ``iteration`` is None, the dataset's file is ``episodes.npz``, for a rollout that has not written any file.
     """
     env.recorder_manager.close()
     return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
-    """Return dataset files from ``iteration`` on, and files of episodes that a resume at ``iteration`` continues."""
+    """Return the dataset files of ``iteration`` and later ones, which a resume at ``iteration`` must remove."""
     found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 

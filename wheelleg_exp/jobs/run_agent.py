@@ -26,7 +26,7 @@ from wheelleg_exp.user_exceptions import ending_as
 
 AgentKind = Literal["zero", "random"]
 
-# Contact forces are measured after the robot has landed (a drop of 15 mm takes 0.06 s) and before it falls.
+# Contact forces are measured after the robot has landed (a drop of 15 mm takes 0.06 s) and before the robot falls.
 SETTLE_S = 0.2
 UPRIGHT_RAD = 0.2
 
@@ -37,9 +37,9 @@ class AgentRun:
 
     folder: Path
     recording: Path | None
-    contacts: dict[str, list[ContactFigures]]  # for each sensor, the contact forces of each link while the robot stood
-    figures: StandFigures  # the durations and terminations of the environments' first episodes
-    failures: FailureCount  # the episodes that ended because of a NaN or inf
+    contacts: dict[str, list[ContactFigures]]  # by sensor: the contact forces of each link while the robot stood
+    figures: StandFigures  # the durations and terminations of the first episodes of all environments
+    failures: FailureCount  # the episodes that ended because a number was NaN or inf
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:

@@ -22,46 +22,46 @@ _WAIT_S, _PATIENCE_S = 0.2, 10.0
 
 
 class Job(Protocol):
-    """A job that was started. ``ended`` is the last event of the job; None while the job runs, or if the job died."""
+    """A job that was started. ``ended`` is the job's last event, or None while the job runs or if the job died."""
 
     ended: Event | None
 
     def over(self) -> bool:
-        """Return whether the job has ended, successfully or not."""
+        """Return whether the job has ended, with or without success."""
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop after its current iteration."""
+        """Ask the job to stop after its current training iteration."""
 
     def interrupt(self) -> None:
-        """Stop the job without waiting for the end of its iteration."""
+        """Stop the job without waiting for the end of its training iteration."""
 
     def kill(self) -> None:
         """Kill the job."""
 
     def close(self) -> None:
-        """Close the connection to the job."""
+        """Close the connection to the job's process."""
 
     def describe_death(self) -> str:
-        """Return a phrase about the end of a job that died without a last event."""
+        """Return a phrase that describes how a job died without sending a last event."""
 
 
 class Launcher(Protocol):
-    """Starts the jobs of a sweep, and receives the jobs' events.
+    """Starts the jobs of a sweep, and receives the events that the jobs send.
 
-    If ``queued`` is true, a job can wait in a queue after its start; the job sends the event ``began`` when it runs.
+    If ``queued`` is true, a started job can wait in a queue; it sends the event ``began`` when it begins to run.
     """
 
     queued: bool
 
     def start(self, number: int, request: JobRequest) -> Job:
-        """Start the job with this number in the index of the sweep."""
+        """Start the job ``number`` of the sweep's index."""
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Yield the events that jobs have sent; wait at most ``wait_s`` seconds for the first event."""
+        """Yield the events that the sweep's jobs have sent; wait at most ``wait_s`` seconds for the first event."""
 
 
 class LocalLauncher:
-    """Runs jobs as child processes on this machine. The child processes stop when this process is killed."""
+    """Runs sweep jobs as child processes on this machine. If this process is killed, its child processes stop."""
 
     queued = False
 
@@ -69,38 +69,38 @@ class LocalLauncher:
         self._program = program or job_program()
 
     def start(self, number: int, request: JobRequest) -> Job:
-        """Start the child process of a job."""
-        del number  # A local job is identified by its pipes.
-        # Pass ``os.environ``, because libraries may have changed the C environment of this process.
+        """Start the child process that runs a job."""
+        del number  # The pipes of a local job identify the job.
+        # Pass ``os.environ`` to the job, because libraries may have changed the C environment of this process.
         return Child(self._program, request.line(), os.environ)
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Yield the events that the processes have written to their pipes."""
+        """Yield the events that the child processes of the jobs have sent."""
         return listen(cast(Collection[Child], jobs), wait_s)
 
 
 class SweepDisplay(Protocol):
-    """Shows the events of a sweep. Each ``job`` argument is the entry of a job in the index of the sweep."""
+    """Shows the progress of a sweep. Each argument ``job`` is the entry of a job in the sweep's index."""
 
     def started(self, job: Mapping[str, Any]) -> None:
         """Show that a job started."""
 
     def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
-        """Show the number of finished iterations of a job."""
+        """Show the number of training iterations that a job has finished."""
 
     def ended(self, job: Mapping[str, Any]) -> None:
         """Show how a job ended."""
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
-        """Show a line of text about a job."""
+        """Show a line of text about a job of the sweep."""
 
 
 class SweepRunner:
-    """Runs at most ``at_once`` jobs in parallel, until all jobs have ended or a stop is requested.
+    """Runs the jobs of a sweep, at most ``at_once`` in parallel, until all jobs have ended or a stop is requested.
 
     Each job has its own process: it computes the same bytes as ``wheelleg train`` with its overrides, and a job that
-    dies does not affect the others. After a stop request, every job finishes its current iteration, writes a
-    checkpoint, and stops.
+    dies does not affect the others. After a stop request, each job finishes its current iteration, writes a checkpoint,
+    and stops.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class SweepRunner:
 
     @while_running()
     def run(self) -> SweepStatus:
-        """Run all jobs, and return the status of the sweep."""
+        """Run all jobs of the sweep, and return the sweep's status."""
         status: SweepStatus = "failed"
         try:
             self._run()
@@ -149,13 +149,13 @@ class SweepRunner:
                 self._listen()
                 self._reap()
         finally:
-            # Stop the jobs that still run when the sweep itself fails or is interrupted for the second time.
+            # If the sweep itself fails or is interrupted for the second time, stop all running jobs.
             try:
                 self._end(lambda job: job.ask_to_stop(), 0.0)
                 self._end(lambda job: job.interrupt(), _PATIENCE_S)
                 self._end(lambda job: job.kill(), _PATIENCE_S)
             finally:
-                for job in self._running:  # A third interrupt ends the wait for the jobs.
+                for job in self._running:  # The third interrupt by the user ends the wait for the jobs.
                     job.kill()
                     job.close()
 
@@ -183,7 +183,7 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record ended jobs in the sweep's index; a job that was stopped in a queue keeps the status ``waiting``."""
+        """Record ended jobs in the sweep's index; a job that was stopped while waiting in a queue keeps its status."""
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)
@@ -211,5 +211,5 @@ class SweepRunner:
         deadline = time.monotonic() + patience_s
         while self._running and time.monotonic() < deadline:
             self._listen()
-            with contextlib.suppress(WheellegError):  # The index has reported errors, such as a full disk, before.
+            with contextlib.suppress(WheellegError):  # The index has already reported the error.
                 self._reap()

@@ -1,7 +1,7 @@
-"""Save the simulated robot in a run directory, and load a robot from a run directory.
+"""Save the simulated robot in a run directory, and load the robot from a run directory.
 
-The folder ``asset/`` of a run contains the MJCF file, its meshes, networks of other runs, and the conversion report.
-``asset.json`` contains the digests of the robot's source files and of the compiled model.
+A run's folder ``asset/`` contains the robot's MJCF file and meshes, its conversion report, and copied networks.
+``asset.json`` contains the sha256 of each source file of the robot and of the compiled MuJoCo model.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
 def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
-    """Copy the converted robot into ``asset/``, and write the digests of the robot's source files."""
+    """Copy the converted robot into a run's folder ``asset/``, and write the sha256 of each of its source files."""
     directory.asset.mkdir(parents=True, exist_ok=True)
     for part in (*asset.meshes, *asset.beside):
         target = directory.asset / part.relative_to(asset.output.parent)
@@ -45,9 +45,9 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 
 def saved_mjcf(directory: RunDirectory) -> Path:
-    """Return the path of the MJCF in a run directory."""
+    """Return the path of the robot's MJCF file in a run directory."""
     # Raise an error for an MJCF file with an element that no conversion writes.
-    # Such an element can make MuJoCo read other files, load libraries, or allocate any amount of memory.
+    # An unknown MJCF element can make MuJoCo read arbitrary files, load libraries, or allocate any amount of memory.
     path = directory.asset / MJCF
     if not path.is_file():
         message = "the run directory contains no MJCF of the robot"
@@ -67,17 +67,17 @@ def saved_mjcf(directory: RunDirectory) -> Path:
 
 
 def saved_model_digest(directory: RunDirectory) -> str:
-    """Return the digest of the MuJoCo model that the run compiled."""
+    """Return the digest (hash) of the MuJoCo model that the run compiled."""
     return str(recorded_robot(directory)["model_sha256"])
 
 
 def saved_sources(directory: RunDirectory) -> dict[str, str]:
-    """Return the sha256 of each source file of the run's robot, by the path relative to the robot's source folder."""
+    """Return the sha256 of each source file of the run's robot, by its path in the robot's source folder."""
     return dict(recorded_robot(directory)["sources"])
 
 
 def saved_networks(directory: RunDirectory) -> dict[str, Path]:
-    """Return the saved network files of other runs, by their paths relative to the robot's folder."""
+    """Return the network files that a run has copied from earlier runs, by their paths in the robot's folder."""
     named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
     return {name: path for name, path in named.items() if path.is_file()}
 
@@ -93,7 +93,7 @@ def load_saved_robot(directory: RunDirectory) -> CachedConversion:
 
 
 def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
-    """Copy the converted robot of a run into a new folder, with the layout of a conversion's folder."""
+    """Copy the converted robot of a run into a new folder, with the file layout that a conversion writes."""
     saved = load_saved_robot(directory)
     with for_people(folder):
         shutil.copytree(directory.asset, folder)
@@ -102,7 +102,7 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
-    """Raise ConfigError with the message ``rule`` if overrides changed the robot of a run."""
+    """If the overrides changed the robot of a run, raise ConfigError with the message ``rule``."""
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
             expected = "the run's own value; another robot needs a new run"

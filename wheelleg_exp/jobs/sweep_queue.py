@@ -1,8 +1,8 @@
-"""Run sweep jobs through the job queue of Slurm (with submitit) or of a Ray cluster.
+"""Run the jobs of a sweep through the queue of Slurm (with submitit) or of a Ray cluster.
 
-The machine of the sweep and the machine of a job exchange files in the job's folder, which both machines must see. The
-file ``request.json`` describes the job. The job appends its events to ``events.jsonl``. The file ``stop`` requests a
-stop of the job. submitit and Ray are optional, and imported only when their launcher is created.
+A sweep and its job exchange files in the job's folder, which the machines of both must see. The file ``request.json``
+in a job's folder describes the job. A job appends its events to its file ``events.jsonl``. The file ``stop`` in a job's
+folder asks the job to stop. The packages submitit and Ray are optional, and imported only when a launcher needs them.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
 SOON, NOW = "soon", "now"  # the content of STOP
 _FOLDER = "jobs"
 _WAIT_S = 0.3
-_PATIENCE_S = 90.0  # The wait must be shorter than the 120 s between Slurm's warning and the kill.
-# The import path of this process, before submitit or Ray change ``sys.path``.
+_PATIENCE_S = 90.0  # The wait must be shorter than the 120 s between Slurm's warning and the end of the job.
+# The import path of this process before submitit or Ray changes ``sys.path``.
 _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 
 
 class QueueWorker:
-    """Runs one sweep job on another machine. The queue pickles the ``QueueWorker``, which has no attributes.
+    """Runs a sweep job on a machine of the queue, which can pickle a ``QueueWorker`` because it has no attributes.
 
-    The job's process gets the environment variables of the sweep's machine that can change results. So the results do
-    not depend on the environment variables of the job's machine.
+    The process of a job gets those environment variables of the sweep's machine that can change results. The results of
+    a queued job do not depend on the environment variables of the job's machine.
     """
 
     _child: Child | None = None
     _relayed: Future[str] | None = None
 
     def __call__(self, folder: str) -> str:
-        """Run the job that the folder's ``request.json`` describes, and return the status of the job."""
+        """Run the job that ``request.json`` in the folder describes, and return the job's status."""
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         if (place / EVENTS).exists():
             raise RuntimeError("the job has already run, and a job runs only once")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # A job with a different installation needs its own import path.
+        path = request["path"] if same else sys.path  # A different Python installation has its own import path.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
-        with ThreadPoolExecutor(1) as reader:  # A signal interrupts only the main thread, not the reader.
+        with ThreadPoolExecutor(1) as reader:  # A signal interrupts the main thread, not the thread ``reader``.
             self._relayed = reader.submit(self._relay, self._child, place)
             return self._relayed.result()
 
     def checkpoint(self, folder: str) -> None:
-        """Stop the job with a checkpoint. submitit calls this method when the job's time is over, without a restart."""
+        """Stop the job after a checkpoint; submitit calls this method at the time limit of the job."""
         del folder
         if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
@@ -67,7 +67,7 @@ class QueueWorker:
                 self._child.kill()
 
     def _relay(self, child: Child, place: Path) -> str:
-        """Write the events of the job's process to a folder and forward stop requests until the process ends."""
+        """Until the job's process ends, write its events to a folder and forward stop requests to the process."""
         asked = ""
         while not child.over():
             self._write_events(child, place, _WAIT_S)
@@ -99,22 +99,22 @@ def _read_or_empty(path: Path) -> str:
 
 
 class Ticket(Protocol):
-    """The handle of a job in a queue."""
+    """The handle of a submitted job in a queue."""
 
     def gone(self) -> bool:
         """Return whether the job has left the queue for any reason."""
 
     def cancel(self) -> None:
-        """Remove a waiting job from the queue, or end a running job."""
+        """Remove a waiting job from the queue; end a running job."""
 
     def why(self) -> str:
-        """Return the queue's reason for the end of a job that sent no last event."""
+        """Return the reason that the queue gives for the end of a job that sent no last event."""
 
 
 class QueuedJob:
-    """A job in a queue. The events of the job come from the file that the job's ``QueueWorker`` writes.
+    """A job in a queue. The job's ``QueueWorker`` writes the job's events to a file, from which ``events`` reads them.
 
-    ``ticket`` is None until the job is submitted. ``ended`` is the job's last event, or None while the job runs.
+    ``ticket`` is None until the job is submitted. ``ended`` is the job's last event, or None before the job's end.
     """
 
     def __init__(self, folder: Path, request: JobRequest) -> None:
@@ -127,7 +127,7 @@ class QueuedJob:
         write_json(self.folder / REQUEST, {**facts, "variables": variables()})
 
     def events(self) -> Iterator[Event]:
-        """Yield the events of the job since the last call."""
+        """Yield the events that the job has written since the last call."""
         try:
             with (self.folder / EVENTS).open("rb") as file:
                 file.seek(self._read)
@@ -147,11 +147,11 @@ class QueuedJob:
             yield event
 
     def over(self) -> bool:
-        """Return whether the job ended, left the queue, or was stopped before it was submitted."""
+        """Return whether the job has ended, left the queue, or was stopped before its submission."""
         return self._stopped if self.ticket is None else self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
-        """Ask a running job to stop after its current iteration; remove a waiting job from the queue."""
+        """Ask a running job to stop after its current training iteration; remove a waiting job from the queue."""
         if self._stopped:
             return
         self._stopped = True
@@ -160,7 +160,7 @@ class QueuedJob:
             self.kill()
 
     def interrupt(self) -> None:
-        """Stop the job without waiting for the end of its iteration."""
+        """Stop the job without waiting for the end of its training iteration."""
         write_text(self.folder / STOP, NOW)
 
     def kill(self) -> None:
@@ -169,10 +169,10 @@ class QueuedJob:
             self.ticket.cancel()
 
     def close(self) -> None:
-        """Do nothing, so that the event file remains in the job's folder for users."""
+        """Do nothing, because the job's event file remains in the job's folder for users."""
 
     def describe_death(self) -> str:
-        """Return the queue's reason for the end of the job."""
+        """Return the reason that the queue gives for the end of the job."""
         return "was never submitted" if self.ticket is None else self.ticket.why()
 
 
@@ -186,7 +186,7 @@ class Queue:
         self._pending: list[QueuedJob] = []
 
     def start(self, number: int, request: JobRequest) -> Job:
-        """Write the request file of a job; the method ``listen`` submits all prepared jobs together."""
+        """Write the file ``request.json`` of a job; the method ``listen`` submits all prepared jobs together."""
         job = QueuedJob(self._folder / str(number), request)
         self._pending.append(job)
         return job
@@ -196,7 +196,7 @@ class Queue:
         raise NotImplementedError
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Submit the prepared jobs, and yield the events that the jobs have written."""
+        """Submit all prepared jobs to the queue, and yield the events that the jobs have written."""
         waiting, self._pending = [job for job in self._pending if not job.over()], []
         if waiting:
             for job, ticket in zip(waiting, self.submit(waiting), strict=True):
@@ -209,7 +209,7 @@ class Queue:
         yield from found
 
 
-# submitit accepts these settings without the name of an executor as prefix.
+# The settings that submitit accepts without the name of an executor as prefix.
 _SHARED_SETTINGS = (
     *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
@@ -241,7 +241,7 @@ class SubmititLauncher(Queue):
             raise ConfigError(message, key="hydra.launcher", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Submit all jobs as one Slurm job array."""
+        """Submit all given jobs as one Slurm job array."""
         try:
             with self._executor.batch():
                 found = [self._executor.submit(QueueWorker(), str(job.folder)) for job in jobs]
@@ -265,17 +265,17 @@ class _SubmititTicket:
     def why(self) -> str:
         words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
         last = f": {words[-1][:300]}" if words else ""
-        # Do not show FINISHED, because submitit's local executor reports this state for every ended job.
+        # Do not show the state FINISHED, which submitit's local executor reports for every ended job.
         state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
 
-_OBJECT_STORE = 78_643_200  # Ray's minimum size in bytes is enough, because tasks exchange only folder names.
+_OBJECT_STORE = 78_643_200  # Ray's minimum memory size in bytes is enough, because tasks exchange only folder names.
 _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
 
 
 class RayLauncher(Queue):
-    """Submits each job as one Ray task, with the settings ``ray.init`` and ``ray.remote`` of hydra-ray-launcher."""
+    """Submits each sweep job as a Ray task, with the settings ``ray.init`` and ``ray.remote`` of hydra-ray-launcher."""
 
     def __init__(self, settings: Mapping[str, Any], folder: Path) -> None:
         import ray
@@ -283,12 +283,12 @@ class RayLauncher(Queue):
         super().__init__(folder)
         chosen = settings["ray"]
         init = {**_INIT, **chosen["init"]}
-        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Ray starts a local cluster here.
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Here, Ray starts a local cluster.
             init.setdefault("object_store_memory", _OBJECT_STORE)
         try:
             if not ray.is_initialized():
                 ray.init(**init)
-            options = {"max_retries": 0, **chosen["remote"]}  # Ray must not restart a job that died.
+            options = {"max_retries": 0, **chosen["remote"]}  # Ray must not restart a job whose process died.
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
             message = f"Ray refuses it: {_one_line(error)[:300]}"
@@ -296,7 +296,7 @@ class RayLauncher(Queue):
             raise ConfigError(message, key="hydra.launcher.ray", expected=expected) from error
 
     def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
-        """Submit each job as a Ray task."""
+        """Submit each given job as one Ray task."""
         return [_RayTicket(self._task.remote(str(job.folder))) for job in jobs]
 
 
@@ -331,7 +331,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher ``name`` of Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
+    """Return a launcher by its name in Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

@@ -1,4 +1,4 @@
-"""Set the number of torch threads, and describe threads and floating-point settings for a run's manifest."""
+"""Set the number of torch's threads, and describe the threads and floating-point settings for a run's manifest."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 
-# The names of MKL's code branches, in the order of their numbers in mkl_types.h (MKL_CBWR_*).
+# The names of MKL's code branches, ordered by their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
-_in_time: list[bool] = []  # for each call of prepare_threads, whether the call was early enough
+_in_time: list[bool] = []  # for each call of prepare_threads, whether it was early enough
 
 _STRICT = 0x10000
 _EVERYTHING = -1
-_VECTOR_STEP = 32  # One step of torch's vector loops computes 32 numbers, which are two AVX-512 vectors.
-# In these MKL branches, the number of threads changes matrix products, even in strict mode.
+_VECTOR_STEP = 32  # One step of a vector loop in torch computes 32 numbers, which are two AVX-512 vectors.
+# The MKL branches in which the number of threads changes matrix products, even in strict mode.
 _THREADED_BRANCHES = ("off", "compatible")
 
 
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
-    """Set torch's thread count to ``agent.torch_threads``; return facts about threads and arithmetic for the manifest.
+    """Set torch's thread count to ``agent.torch_threads``; return facts about threads and rounding for a manifest.
 
-    ``samples`` is the number of environment steps in one rollout of a training, or None without a training. In the
-    result, ``independent`` is true if the thread count cannot change the training's numbers. Otherwise
+    ``samples`` is the number of environment steps in one rollout; None if nothing is trained. The returned entry
+    ``independent`` is true if the thread count cannot change the training's numbers. If it is false,
     ``dependent_because`` lists the reasons.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
         raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
-    _in_time.append(prepare_threads())  # MKL reads its variable at its first use, and OpenMP when torch is imported.
+    _in_time.append(prepare_threads())  # before the first use of MKL and OpenMP
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
     reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples))
@@ -62,9 +62,9 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return changes to the result of ``set_threads`` if bfloat16 matrix products depend on the thread count.
+    """Return changed entries for the result of ``set_threads`` if bfloat16 matrix products depend on the thread count.
 
-    ``samples`` is the number of environment steps in one rollout. ``threads`` is the result of ``set_threads``.
+    ``samples`` is the number of environment steps in one rollout. ``threads`` comes from ``set_threads``.
     """
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
@@ -74,7 +74,7 @@ def dependent_products(
 
 
 def thread_notes(threads: Mapping[str, Any]) -> list[str]:
-    """Return warnings about a run's threads, one line each."""
+    """Return warnings about the torch threads of a run, one line each."""
     count = threads["torch"]
     reasons = threads.get("dependent_because") or []
     notes = [f"warning: the number of torch's threads ({count}) is part of this result: {reason}" for reason in reasons]
@@ -86,8 +86,8 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 def mkl_in_force() -> dict[str, Any] | None:
     """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
-    The branch and the strict mode are None if MKL does not return them. The query fixes the mode of MKL: environment
-    variables that are set later have no effect.
+    The returned branch and strict mode are None if MKL does not report them. The query fixes the mode of MKL:
+    environment variables that are set later have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None
@@ -100,7 +100,7 @@ def mkl_in_force() -> dict[str, Any] | None:
 
 
 def numerics() -> dict[str, Any]:
-    """Return the settings of torch and of the processor that change floating-point results."""
+    """Return those settings of torch and of the processor that change floating-point results."""
     tiny, one = np.float64(2.0**-1070), np.float64(1.0)
     with np.errstate(all="ignore"):
         to_nearest = one + 2.0**-53 == one and -one - 2.0**-53 == -one and one + 2.0**-52 * 0.75 > one
@@ -129,9 +129,9 @@ def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
 
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
-    """Return a warning about activations whose rounding depends on the number of threads."""
-    # torch gives each thread a chunk of the numbers.
-    # Scalar code, which rounds differently, computes the last numbers of a chunk if they do not fill a vector.
+    """Return a warning about network activations whose rounding depends on the number of threads."""
+    # torch gives each thread a chunk of the numbers to compute.
+    # Scalar code, which rounds differently than vector code, computes the last numbers of a chunk that fill no vector.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}

@@ -17,7 +17,7 @@ from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.machine import own_environ
 from wheelleg_exp.stop_request import StopRequest
 
-# The child process imports from the parent's import path, independent of the working directory.
+# The child process has the import path of the parent process, independent of the working directory.
 _BOOT = (
     "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
     "from wheelleg_exp.jobs.training_job import main; sys.exit(main())"
@@ -26,29 +26,29 @@ _BOOT = (
 
 @dataclass(frozen=True)
 class JobRequest:
-    """A request to train a new run, or to resume or evaluate a run."""
+    """A request to train a new run, or to resume or evaluate an existing run."""
 
     kind: Literal["train", "resume", "evaluate"]
     overrides: list[str]
     config_dirs: list[str]
-    command: list[str]  # the equivalent command line, which the manifest records
-    digest: str = ""  # the digest of a training's config after the check
+    command: list[str]  # the equivalent command line, for the manifest of the run
+    digest: str = ""  # the hash of a training's config when the config was checked
     run: str = ""
     checkpoint: str = ""
     root: str = "runs"  # the root folder of all runs
 
     def line(self) -> bytes:
-        """Return the request as one line of JSON."""
+        """Return the job request as one line of JSON."""
         return json.dumps(asdict(self)).encode() + b"\n"
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command of a child process that runs a job; ``path`` is the import path (default ``sys.path``)."""
+    """Return the command of a child process that runs a job; ``path`` is its import path (default ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 
 def run_request(request: JobRequest, stop: StopRequest) -> AbstractContextManager[Iterator[Event]]:
-    """Return a context that runs a job in a child process and yields its events (see ``job_events``)."""
+    """Return a context that runs a job in a child process and yields the job's events (see ``job_events``)."""
     return job_events(Child(job_program(), request.line(), own_environ()), stop)
 
 
@@ -58,7 +58,7 @@ def main() -> int:
 
 
 def serve(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
-    """Run the job that one line of JSON describes."""
+    """Run the job that ``line``, a line of JSON, describes."""
     request = JobRequest(**json.loads(line))
     {"train": _train, "resume": _resume, "evaluate": _evaluate}[request.kind](pipe, request, stop)
 
@@ -94,7 +94,7 @@ def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     run_directory = RunDirectory.open(request.run, request.root)
     keep_kernels(run_directory.manifest().data.get("environment_variables") or {})
 
-    # Import these modules after keep_kernels, because they import tensordict, which uses MKL.
+    # Import the following modules after keep_kernels, because tensordict, which they import, uses MKL.
     from wheelleg_exp.jobs.train.resume_training import prepare_resume
     from wheelleg_exp.jobs.train.run_training import run
 

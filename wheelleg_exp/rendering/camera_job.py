@@ -13,28 +13,28 @@ from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# For each layer of a picture, the number of channels and the data type of one pixel.
+# The number of channels and the data type of a pixel, for each layer of a picture.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
-_BEYOND = 0.999  # A depth above this fraction of the far clipping distance means that the pixel shows no surface.
+_BEYOND = 0.999  # A pixel whose depth exceeds this fraction of the far clipping distance shows no surface.
 _AMBIENT = 0.4
-_HIDDEN = 5  # the geom group of hidden geoms, which MuJoCo does not draw
+_HIDDEN = 5  # the MuJoCo geom group of hidden geoms, which MuJoCo does not draw
 
 
 @dataclass(frozen=True)
 class CameraOrder:
-    """A request to draw one camera of a scene, with the picture's size, px, and the clipping range, m."""
+    """A request to draw the view of a camera sensor: the picture's size, px, and the camera's clipping range, m."""
 
     model: Any
     camera: str
     width: int
     height: int
     clipping_range: tuple[float, float]
-    layers: Sequence[Layer]  # colours, distances along the axis, m (inf if no surface), or geom ids (-1 if no geom)
+    layers: Sequence[Layer]  # colours, depths along the camera's axis, m (inf: no surface), or geom ids (-1: no geom)
 
 
 @dataclass(frozen=True)
 class Poses:
-    """The joint positions of n simulations, (n, nq). Each simulation is drawn separately, with all picture layers."""
+    """The joint positions of n simulations, (n, nq). Each simulation gets its own picture, with all picture layers."""
 
     qpos: Array
 
@@ -43,12 +43,12 @@ class Poses:
 def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
     import mujoco
 
-    # Set the model's picture size and clipping range, and hide its invisible geoms.
+    # Set the picture size and the clipping range of the MuJoCo model, and hide the model's invisible geoms.
     from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
-    # The light is at the camera, so that a surface that faces the camera has the brightness of its material.
+    # The scene's light is at the camera, so that a surface that faces the camera has the brightness of its material.
     light = model.vis.headlight
     light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
     near, far = order.clipping_range

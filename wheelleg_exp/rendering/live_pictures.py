@@ -1,4 +1,4 @@
-"""Draw running simulations and camera sensors from copied positions, so that drawing does not change a simulation."""
+"""Draw pictures of running simulations from copied positions, so that drawing does not change a simulation."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _SAMPLES = 4
 
 
 class LivePictures:
-    """Draws a compiled scene at given joint positions; the camera follows the body ``root`` at a fixed distance.
+    """Draws a compiled MuJoCo scene at given joint positions; the camera follows the body ``root`` at a fixed distance.
 
-    The drawing process starts with the first picture and stops when ``close`` is called.
+    The process that draws starts with the first picture and stops when ``close`` is called.
     """
 
     def __init__(self, model: mujoco.MjModel, root: str, width: int, height: int) -> None:
@@ -34,7 +34,7 @@ class LivePictures:
         self._started = False
 
     def draw(self, qpos: Array) -> NDArray[np.uint8]:
-        """Return a picture (height, width, 3) at joint positions (nq,), or raise NoGraphics or SimulationFailure."""
+        """Return a picture (height, width, 3) at joint positions (nq,); raise an error if graphics do not work."""
         qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
         if not self._started:
             scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))
@@ -50,13 +50,13 @@ class LivePictures:
         return self._process.draw(view).copy()
 
     def close(self) -> None:
-        """Stop the drawing process; the next picture starts a new process."""
+        """Stop the process that draws pictures; the next picture starts a new process."""
         self._open.close()
         self._started = False
 
 
 class CameraPictures:
-    """Draws pictures of one camera (see ``CameraOrder``) in a child process, which starts with the first picture."""
+    """Draws pictures of a camera sensor (see ``CameraOrder``) in a child process that starts with the first picture."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class CameraPictures:
         weakref.finalize(self, self._open.close)
 
     def draw(self, qpos: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return each layer of the pictures, (n, height, width, channels), at the joint positions (n, nq)."""
+        """Return pictures for n rows of joint positions (n, nq): each layer is (n, height, width, channels)."""
         if self._worker is None:
             self._worker = self._open.enter_context(working("wheelleg_exp.rendering.camera_job", self._order))
         order, forms = self._order, [(layer, *FORMS[layer]) for layer in self._order.layers]
@@ -87,6 +87,6 @@ class CameraPictures:
         }
 
     def close(self) -> None:
-        """Stop the drawing process; the next picture starts a new process."""
+        """Stop the process that draws pictures; the next picture starts a new process."""
         self._open.close()
         self._worker = None

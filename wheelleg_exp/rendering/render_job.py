@@ -1,4 +1,4 @@
-"""Draw views of a scene in a worker process, because a graphics driver can abort the process that uses the driver."""
+"""Draw pictures in a worker process, because a graphics driver can abort the process that uses the driver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wheelleg_exp.rendering.render_scene import Array, Scene
 
 @dataclass(frozen=True)
 class Order:
-    """A request to draw a scene, with the picture's size, px, and the number of samples per pixel."""
+    """A request to draw a scene, with the size of the picture, px, and the number of samples per pixel."""
 
     scene: Scene
     width: int
@@ -35,7 +35,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class View:
-    """One picture to draw, with body positions (B, 3) and orientations (B, 4), wxyz, arrows, and the camera."""
+    """A picture to draw: positions (B, 3) and orientations (B, 4), wxyz, of all bodies, arrows, and the camera."""
 
     pos: Array
     quat: Array
@@ -74,7 +74,7 @@ def _draw(view: View, renderer: Any, model: Any, data: Any) -> np.ndarray[Any, A
             break
         geom = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(arrow.rgba, np.float32))
-        # Double the arrow's vector, because MuJoCo draws an arrow with half of the given length.
+        # Double the vector of an arrow, because MuJoCo draws an arrow at half of the given length.
         mujoco.mjv_connector(geom, kind, arrow.radius, arrow.origin, 2 * arrow.end - arrow.origin)
         geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
         scene.ngeom += 1

@@ -1,6 +1,6 @@
 """A scene to draw, as plain arrays: shapes, moving bodies, the ground, and the camera's place.
 
-The camera follows the robot at a fixed angle, and the robot fills the picture.
+The scene's camera follows the robot at a fixed angle, and its distance lets the robot fill the picture.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAR = 1e6  # Objects beyond this distance, m, are not drawn.
+FAR = 1e6  # Objects whose distance from the camera exceeds this limit, m, are not drawn.
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Shape:
     """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh."""
 
     kind: str
-    size: tuple[float, ...]  # half edges of a box, m; radius and half length of a cylinder or capsule; empty for a mesh
+    size: tuple[float, ...]  # half edges of a box, m; radius and half length of a cylinder or capsule; none for a mesh
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1
@@ -43,14 +43,14 @@ class Shape:
 
 
 def rotated(quat: Sequence[float] | Array, vectors: Array) -> Array:
-    """Rotate vectors (..., 3) by a unit quaternion, wxyz."""
+    """Return the vectors (..., 3), rotated by a unit quaternion, wxyz."""
     w, axis = quat[0], np.asarray(quat[1:])
     cross = np.cross(axis, vectors)
     return np.asarray(vectors + 2 * (w * cross + np.cross(axis, cross)))
 
 
 def moved(shape: Shape, offset: Any) -> Shape:
-    """Return a shape moved by ``offset`` (3,), m."""
+    """Return a copy of ``shape``, moved by ``offset`` (3,), m."""
     return replace(shape, pos=tuple((np.asarray(shape.pos) + np.asarray(offset)).tolist()))
 
 
@@ -69,23 +69,23 @@ class Scene:
     bodies: Mapping[str, Sequence[Shape]]
     fixed: Sequence[Shape]
     ground: Ground | None
-    root: int  # the index of the body that the camera follows
-    size: float  # the approximate height of the robot, m
+    root: int  # the index of the body which the camera follows
+    size: float  # the approximate height of the drawn robot, m
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, that enclose the robot at body positions (B, 3), m, and orientations (B, 4), wxyz."""
+    """Return points (n, 3), m, that enclose the robot with body positions (B, 3), m, and orientations (B, 4), wxyz."""
     corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
-AZIMUTH, ELEVATION = 142.0, -14.0  # the angles of the camera, degrees, as MuJoCo defines them
-FOV = 30.0  # the vertical field of view, degrees; a small angle does not distort the robot
+AZIMUTH, ELEVATION = 142.0, -14.0  # the angles of the camera, degrees, in MuJoCo's definition
+FOV = 30.0  # the camera's vertical field of view, degrees; a small angle does not distort the robot
 _FILLED = 0.64  # The robot fills this fraction of the picture's height or width.
 
 
 def camera_distance(cloud: Array, aspect: float) -> float:
-    """Return the camera distance, m, at which points around the origin fill the robot's part of the picture."""
+    """Return the camera distance, m, at which ``points`` around the origin fill the robot's part of the picture."""
     right, up, back = camera_axes()
     tall = _FILLED * np.tan(np.radians(FOV) / 2)
     return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / (tall * aspect), np.abs(cloud @ up) / tall)))

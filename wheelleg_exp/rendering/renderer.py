@@ -1,4 +1,4 @@
-"""Draw views of a scene in a child process, with the first MuJoCo backend that works."""
+"""Draw pictures of a scene in a child process, with the first graphics backend of MuJoCo that works."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wheelleg_exp.rendering.render_job import Order, View
 
 
 def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
-    """Return an error if there are more environments than a camera's ``max_num_envs``, else None."""
+    """Return an error if the number of environments exceeds the ``max_num_envs`` of a camera sensor, else None."""
     if num_envs <= limit:
         return None
     message = f"{num_envs} environments would be drawn one after another at every reading"
@@ -35,18 +35,18 @@ INSTALL = (
 
 
 class NoGraphics(WheellegError):
-    """The error that no graphics backend of MuJoCo can draw on this machine."""
+    """The error for a machine on which no graphics backend of MuJoCo works."""
 
 
 class GraphicsWorker(Worker):
-    """A worker process that uses a graphics driver; MuJoCo writes its log into the worker's folder."""
+    """A worker process that uses a graphics driver; MuJoCo writes its log into the folder of the worker."""
 
     def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
         super().__init__(module, order, _environment(backend), errors, folder)
         self.backend = backend
 
     def ask(self, request: Any, count: int) -> bytes:
-        """Return ``count`` bytes of the worker's answer; raise SimulationFailure if the graphics driver failed."""
+        """Return ``count`` bytes from the worker process; raise SimulationFailure if its graphics driver failed."""
         data = super().ask(request, count)
         if len(data) != count:
             raise SimulationFailure(f"the graphics driver failed while drawing ({self.backend}): {self.last_line()}")
@@ -54,27 +54,27 @@ class GraphicsWorker(Worker):
 
 
 class Drawing:
-    """Draws views of a scene in a worker process."""
+    """Draws pictures of one scene in a worker process."""
 
     def __init__(self, worker: GraphicsWorker, order: Order) -> None:
         self._worker, self._size = worker, (order.height, order.width, 3)
         self.backend = worker.backend
 
     def draw(self, view: View) -> NDArray[np.uint8]:
-        """Return a picture, (height, width, 3); raise SimulationFailure if the graphics driver failed."""
+        """Return a view of the scene, (height, width, 3); raise SimulationFailure if the graphics driver failed."""
         return np.frombuffer(self._worker.ask(view, int(np.prod(self._size))), dtype=np.uint8).reshape(self._size)
 
 
 @contextmanager
 def drawing(order: Order) -> Iterator[Drawing]:
-    """Yield a ``Drawing`` of a scene; if no backend works, raise NoGraphics with the packages to install."""
+    """Yield a ``Drawing`` of a scene; if no graphics backend works, raise NoGraphics with the packages to install."""
     with working("wheelleg_exp.rendering.render_job", order) as worker:
         yield Drawing(worker, order)
 
 
 @contextmanager
 def working(module: str, order: Any) -> Iterator[GraphicsWorker]:
-    """Yield a worker with a working graphics driver; if no backend works, raise NoGraphics with packages to install."""
+    """Yield a worker with a working graphics driver; if no driver works, raise NoGraphics with packages to install."""
     with tempfile.TemporaryDirectory(prefix="wheelleg-") as folder, tempfile.TemporaryFile() as errors:
         reasons = []
         for backend in backends():
@@ -89,7 +89,7 @@ def working(module: str, order: Any) -> Iterator[GraphicsWorker]:
 
 
 def backends() -> Sequence[str]:
-    """Return the graphics backends to try; the backend in the environment variable MUJOCO_GL comes first."""
+    """Return the graphics backends of MuJoCo to try; the backend in the environment variable MUJOCO_GL comes first."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     return tuple(dict.fromkeys([*([wanted] if wanted in BACKENDS else []), *BACKENDS]))
 

@@ -1,7 +1,7 @@
-"""Convert between compiled MuJoCo models and scenes.
+"""Convert between compiled MuJoCo models and scenes (shapes to draw).
 
-A scene consists of the visible geoms of a compiled model. In the MuJoCo model of a scene, every body is a mocap body,
-the floor is checkered, and a light follows the robot.
+A scene consists of the visible geoms of a compiled MuJoCo model. In the MuJoCo model of a scene, each body is a mocap
+body, the floor is checkered, and a light follows the robot.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
-VISUAL_GROUP = 2  # By convention, this geom group of a MuJoCo model contains the visual geoms.
+VISUAL_GROUP = 2  # By convention, the geom group 2 of a MuJoCo model contains the visual geoms.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # the number of size parameters of each solid
+_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # the number of size parameters of each kind of solid
 _KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in (*_SIZES, "mesh")}
 _SOLIDS = {int(_KINDS[name]): (name, count) for name, count in _SIZES.items()}
 _SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -32,9 +32,9 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the scene of a compiled model; all bodies except the world become bodies of the scene, in model order.
+    """Return the scene of a compiled MuJoCo model; the scene has all bodies of the model except the world, in order.
 
-    The camera follows the body ``root``; ``size`` is the height of the robot, m.
+    The camera of the scene follows the body ``root``; ``size`` is the height of the robot, m.
     """
     bodies = {str(b): _shapes(model, b) for b in range(1, model.nbody)}
     planes = [g for g in range(model.ngeom) if is_plane(model, g) and model.geom_bodyid[g] == 0]
@@ -47,7 +47,7 @@ def _shapes(model: mujoco.MjModel, body: int) -> list[Shape]:
 
 
 def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:
-    """Return a geom's shape in the frame of its body; None for signed distance fields, which are not drawn."""
+    """Return a MuJoCo geom's shape in the frame of its body; None for a signed distance field, which is not drawn."""
     kind = int(model.geom_type[geom])
     pos, quat = tuple(model.geom_pos[geom].tolist()), tuple(model.geom_quat[geom].tolist())
     rgba = tuple((colour(model, geom) / 255).tolist())
@@ -70,12 +70,12 @@ def colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
 
 
 def is_plane(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom is an infinite plane, which is drawn as ground, not as a shape."""
+    """Return whether a MuJoCo geom is an infinite plane, which is drawn as ground, not as a shape."""
     return bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE)
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's geoms to draw (visual geoms, else colliders), and its colliders if the colliders differ."""
+    """Return the geoms to draw of a body (visual geoms, else colliders), and its colliders if they are not drawn."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -84,13 +84,13 @@ def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
 
 
 def mesh(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return the surface of a mesh or a height field in the frame of the geom."""
+    """Return the surface of a geom with a mesh or a height field, in the frame of the geom."""
     is_field = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
     return _height_field(model, geom) if is_field else _mesh(model, geom)
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Surface:
-    """Return a mesh with one normal per face, because MuJoCo's averaged normals are wrong at sharp edges."""
+    """Return a geom's mesh with one normal per face, because MuJoCo's averaged normals are wrong at sharp edges."""
     number = int(model.geom_dataid[geom])
     faces = slice(model.mesh_faceadr[number], model.mesh_faceadr[number] + model.mesh_facenum[number])
     corners = model.mesh_vertadr[number] + model.mesh_face[faces].ravel()
@@ -108,7 +108,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
     start = int(model.hfield_adr[field])
     height = model.hfield_data[start : start + rows * columns] * elevation
     x, y = np.meshgrid(np.linspace(-radius_x, radius_x, columns), np.linspace(-radius_y, radius_y, rows))
-    # Each grid cell becomes two triangles. `low` is the index of the cell's corner with the smallest x and y.
+    # Each grid cell becomes two triangles; `low` is the index of the cell's corner with the smallest x and y.
     low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
     vertices = np.column_stack((x.ravel(), y.ravel(), height))
@@ -119,7 +119,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
 
 
 class Kinematics:
-    """Computes forward kinematics on a separate ``MjData``, so that the simulation is not changed."""
+    """Computes body poses from joint positions with its own ``MjData``, so that the simulation stays unchanged."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -128,12 +128,12 @@ class Kinematics:
         self.xquat: Array = self._data.xquat
 
     def update(self, qpos: Array) -> None:
-        """Set ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, to the world poses of all bodies at ``qpos`` (nq,)."""
+        """Set ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, to all body poses at joint positions ``qpos`` (nq,)."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
 
     def poses(self, qpos: Array) -> tuple[Array, Array]:
-        """Return positions (n, B, 3), m, and orientations (n, B, 4), wxyz, of all bodies for rows of qpos (n, nq)."""
+        """Return all body positions (n, B, 3), m, and orientations (n, B, 4), wxyz, for n rows of ``qpos`` (n, nq)."""
         count = len(qpos)
         positions, orientations = np.empty((count, *self.xpos.shape)), np.empty((count, *self.xquat.shape))
         for i, row in enumerate(qpos):
@@ -142,9 +142,9 @@ class Kinematics:
         return positions, orientations
 
     def height(self, root: int, qpos: Array) -> float:
-        """Return the height, m, of the robot with the root body ``root`` at joint positions ``qpos``; at least 0.01."""
+        """Return the height, m, of the robot with root body ``root`` at joint positions ``qpos``, but at least 0.01."""
         self.update(qpos)
-        # Collect the body ``root`` and all its descendants.
+        # Collect the body ``root`` and all descendants of this body.
         bodies = [root]
         for body in range(root + 1, self._model.nbody):
             if int(self._model.body_parentid[body]) in bodies:
@@ -164,18 +164,18 @@ _SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a scene; its mocap bodies are the light's body, then the scene's bodies.
+    """Return the compiled MuJoCo model of a scene; its mocap bodies are the light's body and then the scene's bodies.
 
-    ``samples`` is the number of samples per pixel against jagged edges; 0 if the driver cannot use several samples.
+    ``samples`` is the number of samples per pixel against jagged edges; 0 if the driver supports only one sample.
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)
-    # A terrain needs a larger shadow area, so that the border of the shadow area is outside the picture.
+    # A terrain needs a large shadow area, so that the border of the shadow area is outside the picture.
     spec.visual.map.shadowclip = 8.0 if scene.fixed else 2.5
     spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
         _floor(spec, scene.ground.height, scene.ground.tile)
-    # Add a main light with shadows and a weaker light from the other side, on a body that follows the robot.
+    # Add a main light with shadows, and a weak light from the opposite side, to a body that follows the robot.
     rig = spec.worldbody.add_body(name=RIG, mocap=True)
     for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
         position = np.array(place) * 4.0 * scene.size
@@ -217,7 +217,7 @@ def _floor(spec: Any, height: float, tile: float) -> None:
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
     )  # fmt: skip
-    # The factor 0.5 is needed because a checker texture has two squares along each edge.
+    # The factor is 0.5 because a checker texture has two squares along each edge.
     material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
     spec.worldbody.add_geom(
@@ -238,7 +238,7 @@ def _add(spec: Any, body: Any, shape: Shape, name: str) -> None:
 
 
 def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
-    """Add a mesh as an open shell, because a terrain has no volume. Skip a mesh without area."""
+    """Add a mesh to a MuJoCo model as an open shell, because a terrain has no volume. Skip a mesh without area."""
     if shape.vertices is None or shape.faces is None or len(shape.vertices) < 4:
         return False
     a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)

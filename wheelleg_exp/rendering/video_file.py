@@ -26,11 +26,11 @@ def write(
     size: tuple[int, int],
     progress: Callable[[int], None] | None = None,
 ) -> str:
-    """Write pictures (height, width, 3) as a video atomically, and return the codec's name.
+    """Write pictures (height, width, 3) as a video file, atomically, and return the name of the codec.
 
-    The file ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is the width and height, px, two even numbers.
-    ``progress`` receives the number of finished pictures. WheellegError means that the file cannot be written or that
-    no encoder exists.
+    The video file ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is the width and height of the pictures, px,
+    two even numbers. ``progress`` receives the number of written pictures. WheellegError means that the video file
+    cannot be written or that PyAV has no suitable encoder.
     """
     import av
 
@@ -39,7 +39,7 @@ def write(
     try:
         with for_people(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Write the index at the front of an MP4 file, so that a browser can start playing before the download ends.
+            # Write an MP4 file's index at the front, so that a browser can start playing before the download ends.
             options = {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
             with av.open(str(aside), "w", format=kind, options=options) as container:
                 stream, codec = _stream(container, fps, size)
@@ -57,7 +57,7 @@ def write(
 
 
 def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
-    """Return a video stream and its codec's name. The codec is H.264, or MPEG-4 if PyAV has no H.264 encoder."""
+    """Return a video stream and the name of its codec: H.264, or MPEG-4 if PyAV has no H.264 encoder."""
     import av
 
     for codec in _CODECS:
@@ -65,7 +65,7 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
             continue
         try:
             stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
-        except (ValueError, av.FFmpegError):  # PyAV has a decoder but no encoder with this name.
+        except (ValueError, av.FFmpegError):  # PyAV has a decoder but no encoder for this codec.
             continue
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"

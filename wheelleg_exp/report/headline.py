@@ -12,13 +12,13 @@ from wheelleg_exp.report.page_blocks import Card, Tone
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
-_GOOD, _FAIR = 0.95, 0.5  # A card is green if at least 95 % of episodes survive, and yellow if at least 50 % do.
-# The colour tone in which the report shows the status of a run.
+_GOOD, _FAIR = 0.95, 0.5  # A card is green if at least 95 % of episodes reach the time-out, yellow from 50 %.
+# The colour in which the report shows each status of a run.
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def played(subject: Subject) -> dict[str, Any]:
-    """Return the metrics of the run's last play, or of a deployed agent's run; empty if no metrics exist."""
+    """Return the metrics of a training run's last play, or of a deployed agent's run; empty if no metrics exist."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
         return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
@@ -27,13 +27,13 @@ def played(subject: Subject) -> dict[str, Any]:
 
 
 def ended(figures: Mapping[str, Any]) -> int | None:
-    """Return the number of episodes that ended during a play; None if the number is unknown."""
+    """Return how many episodes ended during a play; None if their number is unknown."""
     episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
     return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
 
 
 def planned(subject: Subject) -> int | None:
-    """Return the planned number of training iterations, from the run's config or from its last resume."""
+    """Return the planned number of training iterations, from the config of a run or from the run's last resume."""
     found = subject.setting("agent.max_iterations")
     for entry in subject.manifest.get("resumes", []):
         for text in entry.get("overrides") or []:
@@ -43,15 +43,15 @@ def planned(subject: Subject) -> int | None:
 
 
 def done(subject: Subject) -> int:
-    """Return the number of finished training iterations."""
+    """Return the number of training iterations that the run has finished."""
     last = max((series.at[-1] for series in subject.scalars.values()), default=-1)
     kept = (subject.manifest.get("results") or {}).get("iterations")
     return kept if isinstance(kept, int) and subject.status == "finished" else last + 1
 
 
 def seconds(subject: Subject) -> float | None:
-    """Return the duration of the training, s, from its results or from its start and end."""
-    # The time between a stop and a resume is unknown, so the duration of a resumed run is None.
+    """Return the duration of a training, s, from the training's results or from its start and end."""
+    # The time between a run's stop and its resume is unknown, so the duration of a resumed run is None.
     if subject.manifest.get("resumes"):
         return None
     kept = (subject.manifest.get("results") or {}).get("seconds")
@@ -64,7 +64,7 @@ def seconds(subject: Subject) -> float | None:
 
 
 def target_height(subject: Subject) -> float | None:
-    """Return the base's target height, m, from the task's reward terms; None without a target height."""
+    """Return the target height of the robot's base, m, from the task's reward terms; None without a target height."""
     rewards = subject.setting("env.rewards")
     for term in rewards.values() if isinstance(rewards, Mapping) else ():
         height = term.get("target_height") if isinstance(term, Mapping) else None
@@ -74,15 +74,15 @@ def target_height(subject: Subject) -> float | None:
 
 
 def time_outs(subject: Subject) -> list[str]:
-    """Return the names of the termination terms that are time-outs."""
+    """Return the names of those termination terms that end an episode because its time is over."""
     terms = subject.setting("env.terminations")
     found = terms.items() if isinstance(terms, Mapping) else ()
     return [str(name) for name, term in found if isinstance(term, Mapping) and term.get("time_out")]
 
 
 def reached_end(subject: Subject) -> float | None:
-    """Return the share of environments whose last training episode reached the time-out and did not fail."""
-    # Old runs recorded only the share of all time-outs, which includes episodes with a simultaneous failure.
+    """Return the share of environments in which the last training episode reached the time-out without a failure."""
+    # Old runs recorded only the share of all time-outs, including episodes that failed at the time-out.
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
         survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]
@@ -92,7 +92,7 @@ def reached_end(subject: Subject) -> float | None:
 
 
 def sentence(subject: Subject) -> str:
-    """Return the outcome of the run in one or two sentences."""
+    """Return one or two sentences about the outcome of a run."""
     figures, status = played(subject), subject.status
     if status == AGENT:
         agent = str(subject.agent_figures.get("agent", "an agent without a policy"))
@@ -208,7 +208,7 @@ def _of_training(subject: Subject) -> Iterator[Card]:
 
 
 def tone_of(share: float) -> Tone:
-    """Return the colour tone of a card for the share of episodes that reached the time-out."""
+    """Return the colour of a report's card that shows which share of episodes reached the time-out."""
     return "good" if share >= _GOOD else "warn" if share >= _FAIR else "bad"
 
 
@@ -233,7 +233,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
 
 
 def command(subject: Subject) -> str:
-    """Return the command line of the run."""
+    """Return the command line that started the run."""
     words = subject.manifest.get("command")
     return shlex.join(str(word) for word in words) if isinstance(words, list) else ""
 

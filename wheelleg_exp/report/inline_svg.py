@@ -1,6 +1,6 @@
-"""Draw matplotlib plots as inline SVG of an HTML page.
+"""Draw matplotlib plots as SVG inside an HTML page.
 
-``drawn`` draws each panel separately, narrow enough for a phone, with the panel's title as text of the HTML page.
+``drawn`` draws each panel of a plot as its own SVG, narrow enough for a phone; HTML text shows the panel's title.
 ``clean`` makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference
 leaves the page.
 """
@@ -39,10 +39,10 @@ _FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\"
 
 
 def clean(svg: str, prefix: str, title: str) -> str:
-    """Return an SVG without prolog, scripts, links, and foreign styles; raise ValueError for text that is not SVG.
+    """Return an SVG text without prolog, scripts, links, and foreign styles; raise ValueError for text that is not SVG.
 
-    ``prefix`` is prepended to the ids in the SVG, so that the ids of two drawings on a page differ. ``title`` is the
-    description for readers who do not see the drawing.
+    ``prefix`` is prepended to the ids in the SVG, so that two drawings on a page have different ids. ``title``
+    describes the drawing for readers who do not see the drawing.
     """
     try:
         root = ElementTree.fromstring(re.sub(r"<!DOCTYPE[^>\[]*>", "", svg))
@@ -55,7 +55,7 @@ def clean(svg: str, prefix: str, title: str) -> str:
     kept.set("viewBox", " ".join(box))
     kept.set("width", box[2])
     kept.set("height", box[3])
-    # matplotlib sets this attribute in a style sheet, which would apply to the whole HTML page.
+    # matplotlib sets the following attribute in a style sheet, which would apply to the whole HTML page.
     kept.set("stroke-linejoin", "round")
     kept.set("role", "img")
     kept.set("aria-label", title)
@@ -63,7 +63,7 @@ def clean(svg: str, prefix: str, title: str) -> str:
 
 
 def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
-    """Return a copy of an SVG element without namespaces, with only the allowed child elements."""
+    """Return a copy of an SVG element without namespaces and without child elements that are not allowed."""
     copy = ElementTree.Element(_local(element.tag), dict(_attributes(element, prefix)))
     copy.text, copy.tail = element.text, element.tail
     for child in element:
@@ -75,7 +75,7 @@ def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
 def _attributes(element: ElementTree.Element, prefix: str) -> Iterator[tuple[str, str]]:
     for name, value in element.attrib.items():
         local = _local(name)
-        # A reference inside the SVG gets the same prefix as the ids. References to other files are removed.
+        # A reference inside the SVG gets the prefix of the ids; references to files outside of the SVG are removed.
         if local == "href" and value.startswith("#"):
             yield "href", f"#{prefix}-{value[1:]}"
         elif local == "id":
@@ -92,14 +92,14 @@ def _length(root: ElementTree.Element, name: str) -> str:
     return re.sub(r"[^\d.]", "", root.get(name, "")) or "100"
 
 
-# A drawing has this size in inches, so that letters of 8.5 pt are readable on a phone's screen of 345 px.
+# The size of a drawing, inches, with which letters of 8.5 pt are readable on a phone's screen of 345 px.
 _WIDTH, _HEIGHT = 3.9, 2.15
 _MOST_COLUMNS = 3
-_LETTER, _LEGEND_ROW = 0.075, 0.17  # the width of a character and the height of a legend row, inches
+_LETTER, _LEGEND_ROW = 0.075, 0.17  # the width of a character and the height of a row of a plot's legend, inches
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
-    """Return plot panels as drawings for the report, in pairs if ``paired``; ``prefix`` makes SVG ids unique."""
+    """Return the panels of a plot as drawings of a report, in pairs if ``paired``; ``prefix`` makes SVG ids unique."""
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 
 
@@ -110,19 +110,19 @@ def _plot(panel: Panel, prefix: str) -> Plot:
     figure = tile([replace(panel, title="")], size=(_WIDTH, height))
     axes = figure.axes[0]
     if not axes.axison and not [*axes.lines, *axes.collections, *axes.patches, *axes.images]:
-        # A panel that contains only text needs no drawing.
+        # A panel of a plot that contains only text needs no drawing.
         return Plot("", panel.title, " ".join(text.get_text() for text in axes.texts))
     with styled():
         rows = _legends_below(figure)
     figure.set_size_inches(_WIDTH, height + _LEGEND_ROW * rows)
     svg = clean(figure_svg(figure), prefix, panel.title)
-    # Differences of a hundredth of a point are invisible, so coordinates are rounded to save space.
+    # To save space, coordinates in the SVG are rounded to a hundredth of a point, which is invisible.
     number = r"(?<=[\s\"(,])-?\d+\.\d{3,}(?=[\s\"),])"
     return Plot(re.sub(number, lambda match: f"{float(match.group()):.2f}", svg), panel.title)
 
 
 def _legends_below(figure: Figure) -> int:
-    """Move the legends below the axes, because a page can be narrow; return the number of legend rows."""
+    """Move the legends of a plot below the axes, because a page can be narrow; return the number of legend rows."""
     rows = 0
     for axes in figure.axes:
         legend = axes.get_legend()

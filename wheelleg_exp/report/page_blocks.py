@@ -25,9 +25,9 @@ class Cell:
     """One cell of a table."""
 
     text: str
-    number: bool = False  # whether the cell is aligned to the right, with digits of equal width
+    number: bool = False  # whether the table cell is aligned to the right, with digits of equal width
     code: bool = False  # marks code and digests
-    bar: float | None = None  # a number in -1 … 1 that is drawn as a bar behind the text
+    bar: float | None = None  # a number in -1 … 1, drawn as a bar behind the text of the table cell
     tone: Tone = ""
 
 
@@ -55,7 +55,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Code:
-    """A block of a report page with commands for the user, or with the output of a program."""
+    """A block of a report page that shows commands for the user, or the output of a program."""
 
     text: str
     label: str = ""
@@ -63,19 +63,19 @@ class Code:
 
 @dataclass(frozen=True)
 class Facts:
-    """A block of a report page with pairs of a name and a value."""
+    """A block of a report page that lists pairs of a name and a value."""
 
     rows: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a report page; the first cell of a row is the heading of the row."""
+    """A table of a report page; the first cell of each row is the row's heading."""
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True  # whether the page shows the table's title; false if a heading replaces the title
+    titled: bool = True  # whether the page shows the table's title, which a heading can replace
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Plots:
-    """Drawings of a report page, side by side on a wide screen; ``paired`` drawings are one or two in a row."""
+    """Drawings of a report page, side by side on a wide screen; ``paired`` allows at most two drawings in a row."""
 
     plots: Sequence[Plot]
     paired: bool = False
@@ -97,7 +97,7 @@ class Plots:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI, with its size in pixels, alternative text, and caption."""
+    """A picture as a data URI, with the size in pixels, the alternative text, and the caption of the picture."""
 
     uri: str
     width: int
@@ -108,7 +108,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Strip:
-    """Pictures of one episode, from left to right."""
+    """Pictures of the robot in one episode, shown from left to right."""
 
     title: str
     pictures: Sequence[Picture]
@@ -123,7 +123,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class More:
-    """Blocks of a report page that are collapsed on the screen and always printed."""
+    """Blocks of a report page that a screen shows collapsed and a printer always prints."""
 
     summary: str
     blocks: Sequence[Block]
@@ -134,7 +134,7 @@ Block = Text | Heading | Note | Code | Facts | Table | Plots | Strip | Beside | 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report page under its own heading."""
+    """A part of a report page with its own heading."""
 
     id: str
     title: str

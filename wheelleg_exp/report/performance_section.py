@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
-_HIGH, _FULL = 0.01, 0.1  # A cell is yellow from 1 % and red from 10 % of the time at the effort limit.
+_HIGH, _FULL = 0.01, 0.1  # A table cell is yellow from 1 % of the time at the effort limit, red from 10 %.
 
 
 @dataclass(frozen=True)
 class Measured:
-    """The report's tables about a recording; a table is empty if the recording lacks the table's data."""
+    """The tables of a report about a recording; a table is empty if the recording lacks the data."""
 
     scope: Sequence[Block] = ()
     tracking: Sequence[Block] = ()
@@ -39,7 +39,7 @@ class Measured:
 
 
 def measured(recording: Recording) -> Measured:
-    """Return the report's tables about a recording; the tables are empty if the recording's rows are damaged."""
+    """Return the tables of a report about a recording; all tables are empty if the recording's data are damaged."""
     from wheelleg_exp.inspection.recording_summary import summarize
 
     try:
@@ -59,7 +59,7 @@ def _scope(found: Summary) -> list[Block]:
 
 
 def health(recording: Recording) -> list[Block]:
-    """Return sentences about missing and repaired parts of a recording; empty for a complete recording."""
+    """Return sentences about the missing and the repaired parts of a recording; empty for a complete recording."""
     notes = [Note(f"Of the recording: {event.text}.") for event in recording.events("recording")[-_NOTES:]]
     if recording.health.is_whole:
         return list(notes)
@@ -130,7 +130,7 @@ _FORMATS: Mapping[str, Callable[[Any], str]] = {
 _SHOWN_ELSEWHERE = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")
 _OF_PLAY = ("checkpoint", "checkpoint_sha256", "seed", "overrides")
 _PLAYS_SHOWN = 12
-_FIRST = ("Height", "Pitch")  # These plot panels come first, because they show whether the robot is upright.
+_FIRST = ("Height", "Pitch")  # The first plot panels, which show whether the robot is upright.
 
 
 def performance_blocks(subject: Subject) -> list[Block]:
@@ -148,7 +148,7 @@ def performance_blocks(subject: Subject) -> list[Block]:
 
 
 def recording_of_play(subject: Subject) -> Path | None:
-    """Return the path of the recording of the last play or of the agent's run, or None."""
+    """Return the path of the recording of a run's last play, or of a deployed agent's run; None without a recording."""
     if subject.status == AGENT:
         return subject.file("recording.rrd")
     for entry in reversed(subject.additions("play")):
@@ -182,7 +182,7 @@ def _panels(name: str, recording: Recording) -> list[Panel]:
 
     try:
         return PLOTS[name].panels(Source(recording))
-    except RunDirectoryError:  # The recording lacks the data for this plot.
+    except RunDirectoryError:  # The recording lacks the plot's data.
         return []
 
 
@@ -230,7 +230,7 @@ def _endings(figures: Mapping[str, Any]) -> list[Block]:
         [Cell(spoken(name)), Cell(number(times), number=True), Cell(percent(times / count), bar=times / count)]
         for name, times in counts.items()
     ]
-    # The results of old plays count an episode once for each termination term that ended the episode.
+    # The results of old plays count an episode several times if several termination terms ended the episode.
     twice = " (an episode with two terminations counts for both)" if sum(counts.values()) > count else ""
     return [Table(f"How its {counted(count, 'ended episode')} ended{twice}", ("Ended by", "Episodes", "Share"), rows)]
 
@@ -281,16 +281,16 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
 _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
-_SHOWN_FIRST = 12  # The report shows this many metrics of a test; the remaining metrics are in a collapsed block.
+_SHOWN_FIRST = 12  # The number of metrics of a test that the report shows without a collapsed block.
 
 
 def evaluated(subject: Subject) -> bool:
-    """Return whether the run has a saved evaluation by a protocol."""
+    """Return whether the run has a saved evaluation by an evaluation protocol."""
     return _last(subject, "evaluation") is not None
 
 
 def evaluation_blocks(subject: Subject) -> list[Block]:
-    """Return the result of the last evaluation, test by test, with its plots."""
+    """Return blocks with the results of a run's last evaluation, test by test, and with the evaluation's plots."""
     entry = _last(subject, "evaluation")
     if entry is None:
         return []
@@ -303,7 +303,7 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
     content = None if result is None else read_content(result.parent)
     if content is None:
         return [Note("The files of the last evaluation cannot be read."), *_repeat_command(subject, "PROTOCOL")]
-    # Compare the policy with the reference controller only if the scenarios of the two evaluations are equal.
+    # Compare the policy with the reference controller only if both were evaluated in the same scenarios.
     other = _last(subject, "reference")
     is_same = other is not None and other["results"].get("scenarios_sha256") == str(content.get("scenarios_sha256"))
     reference: Mapping[str, Any] | None = other["results"]["metrics"] if other is not None and is_same else None

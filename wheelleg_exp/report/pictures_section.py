@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
-_FIRST, _LAST, _PLAY = 0, -1, 1  # The report shows the first and last training episode, and the play's episode.
+_FIRST, _LAST, _PLAY = 0, -1, 1  # The report shows the first and last training episode and one play.
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,17 @@ class Episode:
     end: float
     step_s: float
     ended_by: tuple[str, ...]
-    is_whole: bool  # whether the episode was recorded from its start to its end
+    is_whole: bool  # whether the episode was recorded completely, from its start to its end
 
     @property
     def seconds(self) -> float:
-        """The recorded duration of the episode, s."""
+        """The duration of the recorded part of an episode, s."""
         return self.end - self.start + self.step_s
 
 
 @dataclass
 class Look:
-    """The recordings of a run; each file is opened once. The report shows an error if a recording cannot be read."""
+    """The recordings of a run, each opened once; the report shows an error if a recording cannot be read."""
 
     subject: Subject
     pictures: bool = True  # whether the report shows pictures of the robot
@@ -56,12 +56,12 @@ class Look:
 
     @cached_property
     def training(self) -> Recording | WheellegError | None:
-        """The training's recording, or the error from opening this recording, or None if the run has no recording."""
+        """The recording of the training, or the error from opening this recording; None if the run has no recording."""
         return None if self.subject.status == AGENT else _opened(self.subject.file("recording.rrd"))
 
     @cached_property
     def play(self) -> Recording | WheellegError | None:
-        """The recording of the last play or agent's run, or the error from opening this recording, or None."""
+        """The recording of the last play or agent's run, or the error from opening the recording; None if missing."""
         return _opened(standing.recording_of_play(self.subject))
 
     def hero(self) -> Picture | None:
@@ -80,7 +80,7 @@ class Look:
         return None
 
     def of_play(self) -> list[Block]:
-        """Return the pictures and curves of the last play."""
+        """Return the pictures and curves of the policy's last play."""
         recording = self.play
         if recording is None:
             return []
@@ -90,7 +90,7 @@ class Look:
         return [*health(recording), *self._strip(recording, _PLAY, label), *standing.motion(recording)]
 
     def of_training(self) -> list[Block]:
-        """Return the pictures of the first and the last recorded training episode."""
+        """Return pictures of the first and the last recorded episode of the training."""
         recording = self.training
         if recording is None:
             return [Note("This training was not recorded, so there are no pictures of it.", "")]
@@ -120,7 +120,7 @@ class Look:
     def _pictures(
         self, recording: Recording, times: list[float], size: tuple[int, int], alts: list[str], captions: list[str]
     ) -> list[Picture]:
-        """Return pictures of the robot; after the first rendering error, return no further pictures."""
+        """Return pictures of the robot; after the first error in drawing a picture, return no pictures."""
         if not self.pictures or self._missing is not None:
             return []
         try:
@@ -131,7 +131,7 @@ class Look:
             uris = shots(self._sceneries[recording.path], times, size)
         except WheellegError as error:
             self._missing = str(error)
-        except Exception as error:  # A graphics driver can raise any error; then the report has no pictures.
+        except Exception as error:  # A graphics driver can raise any error, after which the report has no pictures.
             self._missing = f"{type(error).__name__}: {error}"
         else:
             return [Picture(u, *size, alt=a, caption=c) for u, a, c in zip(uris, alts, captions, strict=True)]
@@ -139,7 +139,7 @@ class Look:
 
     @property
     def notes(self) -> Sequence[str]:
-        """The reason why the report has no pictures of the robot; the command prints the reason."""
+        """The reason why the report has no pictures of the robot, for the message of the command."""
         return [f"no pictures of the robot: {self._missing}"] if self._missing else []
 
 
@@ -163,11 +163,11 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the sample and the episode that the pictures of the report show."""
-    # ``_FIRST`` selects the first training episode.
-    # ``_PLAY`` selects the first episode of a play, whose metrics the report lists.
-    # ``_LAST`` selects the first complete episode of the last sample that has a complete episode.
-    # If the recording has no complete episode, ``_LAST`` selects the longest episode of the last sample.
+    """Return the motion sample (recorded episodes) and its episode that the pictures of the report show."""
+    # ``_FIRST`` selects the first recorded training episode.
+    # ``_PLAY`` selects the first episode of a play, because the report lists the metrics of this episode.
+    # ``_LAST`` selects the first complete episode of the last motion sample that contains a complete episode.
+    # If the recording has no complete episode, ``_LAST`` selects the longest episode of the last motion sample.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):
@@ -181,7 +181,7 @@ def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
 
 
 def _episodes(source: Source, sample: Sample) -> list[Episode]:
-    """Return the episodes of consecutive recorded control steps. The first and the last episode can be incomplete."""
+    """Return the episodes in consecutive recorded control steps; the first and the last can be incomplete."""
     clock = source.clock()
     if clock is None:
         return []
@@ -215,9 +215,9 @@ def _clock(seconds: float) -> str:
 
 
 def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
-    """Return pictures of the robot at several moments as data URIs, all with the same camera distance.
+    """Return pictures of the robot at several moments, as data URIs, with the same camera distance in all pictures.
 
-    ``shown`` is the recording's scene and motion. ``size`` is the width and height of each picture, px.
+    ``shown`` is a recording's scene and motion. ``size`` is the width and height of each picture, px.
     """
     from PIL import Image
 

@@ -1,7 +1,7 @@
-"""Report sections on provenance and reproducibility.
+"""Build the sections of a report on the provenance and reproducibility of a run.
 
-The sections list the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One
-section compares the run with its manifest, its replays, and other runs with equal settings and an equal seed.
+The report lists the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One section
+compares a run with its manifest, its replays, and runs that have the same settings and seed.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _file_list(title: str, names: Any) -> list[Block]:
 
 
 def machine(subject: Subject) -> list[Block]:
-    """Return blocks about the run's machine, threads, environment variables, and versions."""
+    """Return report blocks about a run's machine, threads, environment variables, and package versions."""
     manifest = subject.manifest
     hardware, threads = dict(manifest.get("hardware") or {}), dict(manifest.get("threads") or {})
     process = manifest.get("process") or {}
@@ -143,7 +143,7 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def robot(subject: Subject) -> list[Block]:
-    """Return blocks about the inputs, assumptions, and omissions of the robot's conversion."""
+    """Return report blocks about the inputs, assumptions, and omissions of the robot's conversion."""
     report = _json(subject, "asset/report.json")
     if not report:
         return [Note("There is no report of the robot's conversion.", "")]
@@ -189,7 +189,7 @@ def resumes(subject: Subject) -> list[Block]:
 
 
 def files(subject: Subject) -> list[Block]:
-    """Return a table of every file in the run's manifest with its size and digest; reports are omitted."""
+    """Return a table of all files in the run's manifest except reports, with the size and hash of each file."""
     if subject.run is None:
         return [Note("An agent's run keeps no record of its files.", "")]
     own, every = _reports(subject), subject.run.manifest().recorded_files()
@@ -214,7 +214,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # The number of compared runs is limited, because each comparison opens checkpoints.
+_COMPARED = 3  # The largest number of compared runs, because each comparison of two runs opens checkpoints.
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -222,18 +222,18 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 
 @dataclass(frozen=True)
 class Repeat:
-    """Another run that should be bitwise equal to the reported run, and the result of the comparison."""
+    """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
-    label: str  # the task and id of the compared run
-    how: str  # the relation of the runs: ``replay``, ``original``, or ``same settings``
-    verdict: str  # the verdict of the comparison, or ``not compared``
+    label: str  # the task and id of the run that is compared
+    how: str  # the relation to the reported run: ``replay``, ``original``, or ``same settings``
+    verdict: str  # the result of comparing the two runs, or ``not compared``
     reason: str
     lines: Sequence[str]  # the whole comparison
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The facts about a run's reproducibility, for a card and a section of the report."""
+    """The facts about the reproducibility of a run, for a card and a section of the report."""
 
     card: Card | None
     findings: RunFindings | None
@@ -242,7 +242,7 @@ class Verdict:
     problem: str = ""
 
     def blocks(self) -> list[Block]:
-        """Return the blocks of the report's section on reproducibility."""
+        """Return the content of the report's section on reproducibility."""
         subject, found = self.subject, [*_found(self), *_repeated(self)]
         if original := subject.manifest.get("replay_of"):
             found.append(Text(f"This run is itself a replay of {original}."))
@@ -253,20 +253,20 @@ class Verdict:
 
 
 def judge(subject: Subject) -> Verdict:
-    """Check a run against its manifest, and compare the run with its replays and with runs of equal settings."""
+    """Compare a run with its manifest, with its replays, and with runs of equal settings."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
     from wheelleg_exp.verify import verify_run
 
     odd = odd_entries(subject.path)
-    if odd:  # Read no file, because a symbolic link can point to private files outside the run directory.
+    if odd:  # Read no file, because a symbolic link can point to a private file outside of the run directory.
         damaged = Card("Reproducibility", "Damaged", note="it holds links or pipes", tone="bad")
         name, what = next(iter(odd.items()))
         return Verdict(damaged, None, [], subject, f"{name} is {what}, which may lead anywhere")
     repeats = list(_repeats(subject, subject.run)) if subject.status != "running" else []
     try:
         findings = verify_run(subject.run)
-    except Exception as error:  # Damaged files can raise any error.
+    except Exception as error:  # Damaged files of a run can raise any error.
         return Verdict(None, None, repeats, subject, str(error))
     failed = [check for check in findings.checks if _lines(subject, check.failures)]
     return Verdict(_card(subject, bool(failed), repeats), findings, repeats, subject)
@@ -308,7 +308,7 @@ def _found(verdict: Verdict) -> list[Block]:
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Return the result of the manifest check. Reports are ignored, so that a new report does not change the result."""
+    """Return the result of one check of a run's manifest as text; report files are not counted."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)
@@ -392,7 +392,7 @@ def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:
     label = f"{folder.parent.name}/{folder.name}"
     try:
         found = compare_runs(run, RunDirectory.open(folder, run.root), common=True)
-    except Exception as error:  # Damaged files can raise any error.
+    except Exception as error:  # Damaged files of a run can raise any error.
         return Repeat(label, how, "not compared", str(error), [])
     verdict = "not compared" if found.parts["files"].state == "different" else found.verdict
     return Repeat(label, how, verdict, f"{counted(found.iterations, 'iteration')}: {found.reason}", found.lines())

@@ -1,7 +1,7 @@
 """Assemble, render, and write the HTML page of a report.
 
-If building one section fails, the page shows the error in place of this section. A report overwrites only an earlier
-report of the same run.
+If a section of the report cannot be built, the page shows the error in place of this section. A new report overwrites
+only an earlier report of the same run.
 """
 
 from __future__ import annotations
@@ -30,33 +30,33 @@ from wheelleg_exp.report.report_subject import AGENT, KIND, Subject
 from wheelleg_exp.report.value_format import whole_units
 from wheelleg_exp.run.run_list import non_finite_note
 
-# This mark in the page names the run, so that a later report of the same run can overwrite the file.
+# A mark in the report page that names the run, so that a later report of the same run can overwrite the page.
 MARK = '<meta name="wheelleg-report" content="'
 
 
 def render_page(page: Page) -> str:
-    """Return the report page as HTML; the templates escape all values, and the page forbids scripts and other hosts."""
+    """Return the report page as HTML; the templates escape all values; the page forbids scripts and network access."""
     environment = Environment(
         loader=PackageLoader("wheelleg_exp.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        # Make invisible control characters visible, and replace characters that HTML cannot contain.
+        # Make invisible control characters of a text visible, and replace characters that HTML cannot contain.
         finalize=lambda value: printable(value) if type(value) is str else value,
     )
-    # This filter disables escaping. Only SVG from `inline_svg.clean` and the style sheet are safe without escaping.
+    # Only SVG from `inline_svg.clean` and the style sheet are safe without escaping.
     environment.filters["drawn"] = Markup
     style = environment.get_template("report.css").render()
     return environment.get_template("report.html").render(page=page, style=style, mark=MARK)
 
 
 NAME = "report.html"
-_HEAD = 4096  # The first 4096 bytes of a report contain the mark with the run's name.
+_HEAD = 4096  # The first 4096 bytes of a report contain the mark that names the run.
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:
-    """Return the path of the report; raise WheellegError if the path is taken by another file or is not writable."""
+    """Return the path of the report; raise WheellegError if the path is not writable or is a file that is no report."""
     path = subject.path / NAME if output is None else output
     if path.is_dir():
         raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")
@@ -64,13 +64,13 @@ def report_path(subject: Subject, output: Path | None) -> Path:
         message = f"'{path}' exists and is not a report of this run, so it is not overwritten"
         raise RunDirectoryError(message, expected="-o with another name")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
-    # Creating a temporary file raises an error early if the user cannot write into the folder.
+    # Creating a temporary file raises an error early if the user cannot write into the report's folder.
     with for_people(path), tempfile.TemporaryFile(dir=folder):
         return path
 
 
 def write_report(subject: Subject, path: Path, html: str, command: Sequence[str]) -> None:
-    """Write the report page, and add its file to the run's manifest if the file is in the run directory."""
+    """Write the report page to a file; if the file is in the run directory, add the file to the run's manifest."""
     write_text(path, html)
     inside = path.resolve().is_relative_to(subject.path.resolve())
     if subject.run is not None and inside and not _recorded(subject, path):
@@ -86,7 +86,7 @@ def _is_report(path: Path, run: str) -> bool:
 
 
 def _is_own(subject: Subject, path: Path) -> bool:
-    """Return whether the run's manifest lists the file as its report, even if the run was renamed."""
+    """Return whether the run's manifest lists ``path`` as a report, even if the run was renamed."""
     inside = not path.is_symlink() and path.is_file() and path.resolve().is_relative_to(subject.path.resolve())
     return inside and _recorded(subject, path)
 
@@ -102,7 +102,7 @@ Builder = Callable[[], Sequence[Block]]
 
 
 def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
-    """Return the report page of a run."""
+    """Return the report page of one run."""
     unknown = "The outcome of this run is unknown: its manifest is damaged."
     return Page(
         run=subject.id,
@@ -115,7 +115,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
         command=_or(lambda: headline.command(subject), ""),
         hero=_or(look.hero, None),
         sections=_sections(subject, look, verdict),
-        # Building the sections can add entries to `subject.problems`, so the notes are built last.
+        # Building the sections can add entries to `subject.problems`, so the notes about problems are built last.
         notes=[Note(problem) for problem in dict.fromkeys([*_not_finite(subject), *subject.problems])],
         version=__version__,
     )
@@ -163,20 +163,20 @@ def _lead(subject: Subject) -> str:
 
 
 def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
-    """Return a section of the report page; an error of a builder becomes one sentence in the section."""
+    """Return a section of the report page; an error while building the section becomes a sentence in the section."""
     blocks: list[Block] = []
     for builder in builders:
         try:
             blocks += builder()
         except WheellegError as error:
             blocks.append(Note(f"This part cannot be shown: {error}."))
-        except Exception as error:  # Damaged files can raise any error.
+        except Exception as error:  # Damaged files of a run can raise any error.
             blocks.append(Note(f"This part cannot be shown: {type(error).__name__}: {error}."))
     return Section(name, title, lead, blocks)
 
 
 def _or(build: Callable[[], T], instead: T) -> T:
-    """Return the result of ``build``; if ``build`` fails, return ``instead``."""
+    """Return the result of the function ``build``, or ``instead`` if this function fails."""
     try:
         return build()
     except Exception:

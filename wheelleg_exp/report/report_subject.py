@@ -19,7 +19,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
 
 AGENT = "agent"
-KIND = "report"  # The manifest's entries for reports have the kind `report`.
+KIND = "report"  # The kind of the manifest's entries for reports.
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
 
 T = TypeVar("T")
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Series:
-    """One training scalar over the training iterations ``at``; ``at`` and ``values`` have equal lengths."""
+    """The values of one training scalar at the training iterations ``at``; ``at`` and ``values`` have equal lengths."""
 
     at: tuple[int, ...]
     values: tuple[float, ...]
@@ -35,23 +35,23 @@ class Series:
 
 @dataclass
 class Subject:
-    """One training run, or one run of a deployed agent."""
+    """The subject of a report: one training run, or one run of a deployed agent."""
 
     path: Path
-    run: RunDirectory | None  # None for the run of a deployed agent, which has no manifest
+    run: RunDirectory | None  # the training run; None for a deployed agent's run, which has no manifest
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT  # the status in the manifest, ``crashed``, or ``agent``
-    config: dict[str, Any] = field(default_factory=dict)  # the sections ``env`` and ``agent``, without interpolations
-    overrides: list[str] | None = None  # the user's Hydra overrides; None if unknown
-    choices: dict[str, Any] = field(default_factory=dict)  # Hydra's choices of config groups (``task``, …)
+    status: str = AGENT  # the run's status in its manifest, ``crashed``, or ``agent``
+    config: dict[str, Any] = field(default_factory=dict)  # the resolved config sections ``env`` and ``agent``
+    overrides: list[str] | None = None  # the user's Hydra overrides, or None if they are unknown
+    choices: dict[str, Any] = field(default_factory=dict)  # Hydra's option for each config group (``task``, …)
     config_dirs: tuple[Path, ...] = ()
     scalars: dict[str, Series] = field(default_factory=dict)
     agent_figures: dict[str, Any] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)  # sentences about unreadable files
+    problems: list[str] = field(default_factory=list)  # sentences about unreadable files of the run
 
     @property
     def id(self) -> str:
-        """The name of the run directory."""
+        """The name of the directory of the run."""
         return self.path.name
 
     @property
@@ -61,25 +61,25 @@ class Subject:
 
     @property
     def step_s(self) -> float | None:
-        """The duration of a control step, s; None if the config lacks the duration."""
+        """The duration of a control step, s; None if the run's config does not contain the duration."""
         dt, decimation = self.setting("env.sim.dt"), self.setting("env.decimation")
         return dt * decimation if is_number(dt) and is_number(decimation) else None
 
     def setting(self, path: str) -> Any:
-        """Return the value at a dotted key of the run's config; None if the key does not exist."""
+        """Return the value of a dotted key in the run's config; None if the config lacks the key."""
         return at(self.config, path)
 
     def last(self, name: str) -> float | None:
-        """Return the last value of a training scalar; None if the scalar was not logged."""
+        """Return the last value of a training scalar; None if the run did not log the scalar."""
         series = self.scalars.get(name)
         return series.values[-1] if series and series.values else None
 
     def additions(self, kind: str) -> list[dict[str, Any]]:
-        """Return the manifest's entries for later commands of a kind, such as ``play``, oldest first."""
+        """Return the manifest's entries for commands of a kind, such as ``play``, that used the run, oldest first."""
         return [entry for entry in self.manifest.get("additions", []) if entry.get("kind") == kind]
 
     def file(self, name: str) -> Path | None:
-        """Return a file in the run directory by its name; None if the file is missing or a link to another folder."""
+        """Return the path of a file in the run directory; None if the file is missing or links out of the directory."""
         path = self.path / name
         return path if path.resolve().is_relative_to(self.path.resolve()) and path.is_file() else None
 
@@ -95,7 +95,7 @@ class Subject:
 
 
 def open_subject(name: str | Path, root: Path) -> Subject:
-    """Open a training run by its path, id, or ``latest``, or the run of a deployed agent by its path."""
+    """Open a training run by its path, by its id, or as ``latest``; open a deployed agent's run by its path."""
     folder = Path(name)
     if (folder / _FIGURES).is_file() and (folder / _SETTINGS).is_file() and not (folder / MANIFEST_NAME).exists():
         subject = Subject(folder.resolve(), None)
@@ -131,7 +131,7 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
 
 
 def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
-    """Return the user's registered folders on Hydra's search path. Folders that are not registered are not trusted."""
+    """Return the folders on Hydra's search path that the user has registered, because all others are not trusted."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
     return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 
@@ -159,5 +159,5 @@ def _scalars(subject: Subject) -> dict[str, Series]:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a number and not a boolean."""
+    """Return whether ``value`` is a number and not a boolean."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -27,7 +27,7 @@ _LETTERS = 20_000
 
 @dataclass(frozen=True)
 class Setting:
-    """One config value of the run that differs from the task's default value; both values are texts."""
+    """A config value of the run that differs from the task's default value; both values are texts."""
 
     path: str
     default: str
@@ -36,7 +36,7 @@ class Setting:
 
 
 def settings_blocks(subject: Subject) -> list[Block]:
-    """Return tables of the run's overrides, its changes to the task's defaults, and values of the user's YAML files."""
+    """Return tables of a run's overrides, its changes to the task's defaults, and values of the user's YAML files."""
     found: list[Block] = [Text("Nothing was changed on the command line.")]
     if subject.overrides is None:
         found = [Note("The overrides on the command line were not recorded.", "")]
@@ -69,10 +69,10 @@ def settings_blocks(subject: Subject) -> list[Block]:
 
 
 def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
-    """Yield the run's parameters that differ from the task's defaults.
+    """Yield those parameters of the run that differ from the task's defaults.
 
-    ``default`` is the task's config without overrides. ``again`` is the task's config with the run's overrides,
-    composed on this machine. If a value is equal in ``again`` and in the run, ``again`` shows the origin of the value.
+    ``default`` is the config of the run's task without overrides. ``again`` is the task's config with the run's
+    overrides, composed anew on this machine. If ``again`` and the run have equal values, ``again`` tells their origin.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -83,7 +83,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
 
 
 def own_leaves(composed: Composed | None) -> Iterator[Setting]:
-    """Yield the config values that the user's YAML files set."""
+    """Yield those config values of the run that the user's YAML files set."""
     if composed is None:
         return
     folders = composed.config_dirs
@@ -110,7 +110,7 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 
 
 def _require_harmless(words: Sequence[str]) -> None:
-    """Raise ConfigError if recorded arguments would make Hydra read folders, modules, or environment variables."""
+    """Raise ConfigError if a run's Hydra arguments would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
         raise ConfigError("the recorded command line is not composed here, because it could read other files")
 
@@ -120,7 +120,7 @@ def _shown(value: Any) -> str:
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
-    # The origin of a config value is known only if the config that this machine composes has the same value as the run.
+    # The origin of a config value is known only if the config composed on this machine has the run's value.
     if again is None:
         return _THEN
     node: Any = again.config

@@ -1,6 +1,6 @@
 """The page of several runs or of a sweep: the best setting, and how certain that result is.
 
-Runs are grouped by their settings. The page shows for each group the spread over the group's seeds.
+The page groups runs by their settings, and shows the spread over the training seeds of each group.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
     from wheelleg_exp.inspection.plot_style import Panel
 
-# Runs in one group can differ in these keys: seeds, names, and output options.
+# The config keys in which runs of one group can differ: seeds, names, and output options.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
 BANDS = "The mean over the seeds of a setting, at iterations that all seeds have, and one standard deviation."
-# The returns of two runs are not comparable if these sections or keys differ.
+# The config sections and keys that make the returns of two runs incomparable if they differ.
 _MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"
@@ -48,7 +48,7 @@ _MOST_DIFFERENCES = 12
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with the same settings except for their seeds; ``settings`` are the settings that differ between groups."""
+    """A group of runs that differ only in their seeds; ``settings`` are the settings that differ between groups."""
 
     settings: Mapping[str, str]
     runs: Sequence[Subject]
@@ -59,12 +59,12 @@ class Group:
         return ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in self.settings.items()) or "all runs"
 
     def last(self, key: str) -> list[float]:
-        """Return the last value of a training scalar for each run that logged the scalar."""
+        """Return the last value of a training scalar for each run that has logged the scalar."""
         return [run.scalars[key].values[-1] for run in self.runs if key in run.scalars]
 
 
 def grouped(subjects: Sequence[Subject]) -> list[Group]:
-    """Group runs by their settings, in the order of the first run of each group."""
+    """Group runs by their settings; the groups have the order of their first runs."""
     configs = []
     for subject in subjects:
         values = {".".join(map(str, keys)): value for keys, value in leaves(written_config(subject.path))}
@@ -84,8 +84,8 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 def sentence(groups: Sequence[Group]) -> str:
     """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the settings change the meaning of a return, the headline compares the shares of time-outs in training, or else
-    the survival in the last plays.
+    If the runs' settings change the meaning of a return, the headline compares the shares of time-outs in training, or
+    else the survival in the last plays.
     """
     text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
@@ -179,11 +179,11 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 def course(
     series: Sequence[tuple[Sequence[int], Sequence[float]]],
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return iterations, and the mean and sample standard deviation of several runs at these iterations.
+    """Return training iterations, and a scalar's mean and sample standard deviation over several runs at each of them.
 
-    ``series`` contains the iterations and values of each run. The standard deviation of a single run is 0. Only
-    iterations that all runs contain are used, so that the mean does not jump where a run ends. Long trainings are
-    thinned evenly.
+    ``series`` contains the training iterations and the scalar's values of each run. For a single run, the standard
+    deviation is 0. Only iterations that all runs have are used, so that the mean does not jump where one run ends. Long
+    trainings are thinned evenly.
     """
     runs = [{at: value for at, value in zip(*own, strict=True) if math.isfinite(value)} for own in series]
     runs = [run for run in runs if run]
@@ -197,7 +197,7 @@ def course(
 
 
 def members(groups: Sequence[Group]) -> list[Block]:
-    """Return a table with one row per run."""
+    """Return a table that compares runs, with one row per run."""
     rows = [
         [
             Cell(run.id, code=True),
@@ -223,10 +223,10 @@ COMPARISON = "comparison.html"
 
 
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
-    """Return the subject of a page about several runs, and the runs; None if ``names`` contains only one run.
+    """Return the subject of a report about several runs, and the runs; None if ``names`` is a single run.
 
-    The subject is the sweep, or the current folder for runs without a sweep. ``names`` are runs and sweeps by path or
-    id; ``latest`` is the latest run.
+    The subject of the report is the sweep, or the current folder for runs without a sweep. ``names`` contains the paths
+    or ids of runs and sweeps; ``latest`` means the latest run.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:
@@ -247,7 +247,7 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
 
 
 def several_page(about: Subject, runs: Sequence[Subject], command: Sequence[str]) -> Page:
-    """Return the page about several runs; ``about`` is the subject of the page from ``open_several``."""
+    """Return the report page about several runs; ``about`` is the subject that ``open_several`` returned."""
     groups = grouped(runs)
     tasks = list(dict.fromkeys(run.task for run in runs))
     unfinished = sum(run.status != "finished" for run in runs)

@@ -1,6 +1,6 @@
 """Report sections on training: curves over iterations, ends of episodes, the optimiser, and reward terms.
 
-Each reward term is listed with its weight and its contribution at the end of training.
+The report lists each reward term with its weight and its contribution at the end of training.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Tab
 from wheelleg_exp.report.report_subject import Subject
 from wheelleg_exp.report.value_format import brief, exact, number
 
-_POINTS = 800  # A curve is thinned to this many points, because more points are not visible.
+_POINTS = 800  # The largest number of visible points in a curve.
 _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_episode_length"))
 
 
 def first_curves(subject: Subject) -> list[Block]:
-    """Return the curves of return, episode length, and terminations; without finished iterations, return a note."""
+    """Return the training curves of return, episode length, and terminations; a note if no iteration has finished."""
     from wheelleg_exp.inspection import training_curves as plots_training
 
     scalars = thinned(subject)
@@ -39,7 +39,7 @@ def more_curves(subject: Subject) -> list[Block]:
 
 
 def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
-    """Return the training iterations and the values of each training scalar, thinned to the resolution of a curve."""
+    """Return each training scalar with its iterations and values, with no more points than a curve can show."""
     found = {}
     for name, series in subject.scalars.items():
         which = picked(len(series.at))
@@ -48,7 +48,7 @@ def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
 
 
 def picked(count: int) -> slice:
-    """Return a slice that selects evenly spaced points of a curve, including the last point."""
+    """Return a slice that selects evenly spaced points of a curve, with the last point."""
     every = max(1, -(-count // _POINTS))
     return slice((count - 1) % every, None, every)
 
@@ -58,7 +58,7 @@ _RESERVED = ("_target_", "weight")
 
 
 def reward_blocks(subject: Subject) -> list[Block]:
-    """Return the table of reward terms, and their curves over the training."""
+    """Return a table of the reward terms, and the curve of each reward term over the training."""
     terms = subject.setting("env.rewards")
     if not isinstance(terms, Mapping) or not terms:
         return [Note("The rewards of this task are not known: its parameters are missing.")]

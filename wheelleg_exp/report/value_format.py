@@ -1,4 +1,4 @@
-"""Format numbers, durations, sizes, and values for readers."""
+"""Format numbers, durations, sizes, and config values for the readers of a report."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LONGEST = 160  # Texts of values with more characters are truncated.
+_LONGEST = 160  # the largest number of characters of a shown value
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """Format a number with ``digits`` significant digits, without an unnecessary exponent; None becomes a dash."""
+    """Format a number with ``digits`` significant digits and, if possible, without an exponent; None becomes a dash."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return "–" if value is None else brief(value)
     if isinstance(value, int):
@@ -27,7 +27,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def numbers(value: Any) -> Any:
-    """Replace the text ``nan`` in a value of a JSON file by None; JSON has no NaN."""
+    """Replace the text ``nan`` in a value from a JSON file by None, because JSON has no NaN."""
     if isinstance(value, Mapping):
         return {key: numbers(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -44,7 +44,7 @@ def exact(value: Any) -> str:
 
 
 def percent(share: Any) -> str:
-    """Format a share as a percentage; a share below 1 is never rounded up to 100 %."""
+    """Format a share, 0 to 1, as a percentage; a share below 1 is never rounded up to 100 %."""
     if isinstance(share, bool) or not isinstance(share, (int, float)) or not math.isfinite(share):
         return "–"
     value = 100.0 * share
@@ -85,13 +85,13 @@ def moment(text: Any) -> str:
 
 
 def brief(value: Any) -> str:
-    """Format a value as YAML on one line; a long value is truncated."""
+    """Format a config value as YAML on one line; a long value is truncated."""
     text = plain(value)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
 
 
 def plain(value: Any) -> str:
-    """Return a value as YAML on one line."""
+    """Return a config value as YAML on one line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, (list, tuple)):
@@ -112,10 +112,10 @@ def spoken(name: str) -> str:
 
 
 def capital(text: str) -> str:
-    """Return a text with a capital first letter."""
+    """Return ``text`` with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def whole_units(text: str) -> str:
-    """Replace the space between a number and its unit by a non-breaking space."""
+    """Replace each space between a number and its unit by a non-breaking space."""
     return re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", text)

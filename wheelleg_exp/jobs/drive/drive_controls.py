@@ -1,8 +1,8 @@
 """Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
 
-A command axis is one component of a command, such as the forward speed, that the task samples from a range. Keys,
-sliders, and drive scripts can set the command values from any thread. The simulation thread reads the command values
-before each control step.
+A command axis is one component of the robot's command, such as the forward speed, with a range of values. Keyboard
+keys, sliders, and drive scripts can set commands from any thread. Before each control step, the simulation thread reads
+the commands.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from wheelleg_exp.sim.timers import forget
 
 @dataclass(frozen=True)
 class Axis:
-    """One component of a command term, such as a speed, and its range [low, high] in the component's unit."""
+    """One component of a command term, such as a speed, with the component's range [low, high] in its unit."""
 
-    name: str  # the component's name, with the term's name as prefix if several terms have this component
+    name: str  # the component's name, after the term's name if several command terms have this component
     term: str
     component: str
     low: float
@@ -30,7 +30,7 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The config key of the command range of this axis."""
+        """The config key that sets the command range of the axis."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
@@ -45,12 +45,12 @@ class Axis:
         return self.rest + abs(share) * (end - self.rest)
 
     def bounded(self, value: float) -> float:
-        """Return ``value`` clamped to the command range of the axis."""
+        """Return ``value``, clamped to the command range of the axis."""
         return min(max(value, self.low), self.high)
 
 
 def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
-    """Return the command axes of an environment, in order; components with an empty range are left out."""
+    """Return the command axes of an environment, in the order of its command terms, without axes of empty range."""
     found = [
         (term, component, float(pair[0]), float(pair[1]))
         for term in env.command_manager.active_terms
@@ -62,9 +62,9 @@ def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
 
 
 class CommandHold:
-    """Holds an environment's commands at given values, even when the environment resets or resamples the commands.
+    """Keeps an environment's commands at given values, even when the environment resets or resamples its commands.
 
-    Each command range is reduced to a single value, so that every sample from the range has this value.
+    The class reduces each command range to a single value, so that each sampled command has this value.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
@@ -72,7 +72,7 @@ class CommandHold:
         self._held: dict[str, float] = {}
 
     def __call__(self, values: Mapping[str, float]) -> None:
-        """Set the command of each axis, by axis name; the next observation contains the new commands."""
+        """Set the commands, given by the names of their axes; the next observation contains the new commands."""
         changed = [axis for axis in self._axes if self._held.get(axis.name) != values[axis.name]]
         for axis in changed:
             term = self._env.command_manager.get_term(axis.term)
@@ -85,7 +85,7 @@ class CommandHold:
 
 @dataclass(frozen=True)
 class Push:
-    """Request to add a velocity (``x`` forwards, ``y`` to the left, yaw frame, m/s) to the velocity of the base."""
+    """A request to add a velocity (``x`` forwards, ``y`` to the left, yaw frame, m/s) to that of the robot's base."""
 
     x: float
     y: float = 0.0
@@ -98,7 +98,7 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """Request to drive another checkpoint or ground (an option of ``scene``, or ``own``); None: the current one."""
+    """A request to drive with a new checkpoint or ground (a ``scene`` option or ``own``); None keeps the old one."""
 
     checkpoint: Path | None = None
     scene: str | None = None
@@ -113,7 +113,7 @@ Request = Push | Reset | Choose | Finish
 
 
 class Controls:
-    """The driver's current commands, and the driver's pending requests.
+    """The current commands and the pending requests of the user who drives the robot.
 
     All methods are thread-safe. ``speed`` is the number of simulated seconds per second of real time.
     """
@@ -133,7 +133,7 @@ class Controls:
             return dict(self._values)
 
     def set(self, name: str, value: float) -> None:
-        """Set the command of an axis, clamped to the axis's range; ignore an unknown axis name or a NaN."""
+        """Set the command of an axis, clamped to the axis's range; an unknown axis name or a NaN has no effect."""
         if name in self.axes and value == value:
             with self._lock:
                 self._values[name] = self.axes[name].bounded(value)
@@ -149,12 +149,12 @@ class Controls:
             self._values = {name: axis.rest for name, axis in self.axes.items()}
 
     def request(self, request: Request) -> None:
-        """Queue a request of the driver; the simulation carries out the request before the next control step."""
+        """Queue a request of the user; the simulation carries out this request before the next control step."""
         with self._lock:
             self._requests.append(request)
 
     def take(self) -> list[Request]:
-        """Return and remove the queued requests of the driver, oldest first."""
+        """Return the queued requests of the user, oldest first, and empty the queue."""
         with self._lock:
             taken, self._requests = self._requests, []
         return taken

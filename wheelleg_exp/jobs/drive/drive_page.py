@@ -1,6 +1,6 @@
 """Show a drive in the browser: the robot, sliders, keys and gamepads, and figures. viser and mjviser draw the page.
 
-The web server and its websocket listen only on the loopback address and refuse connections from other web pages.
+The drive page's web server listens only on the loopback address, and refuses connections from all other web pages.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError unless a TCP port is free; ``use`` names the port's purpose, and 0 means any free port."""
+    """Raise WheellegError if a TCP port is in use; ``use`` names the port's purpose; port 0 means any free port."""
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -44,7 +44,7 @@ def require_free(port: int, use: str) -> None:
 
 
 def port_in_use(port: int, use: str) -> WheellegError:
-    """Return the error for a TCP port that another process already uses."""
+    """Return the error for a TCP port that is already in use."""
     return _port_error(f"port {port}, for {use}, is in use", _OTHER_PORT)
 
 
@@ -64,7 +64,7 @@ KEYS_HELP = (
 
 
 def state_html(status: Status, controls: Controls, step_dt: float) -> str:
-    """Return the time, the commands, the measured values, and the robot's height in a drive as HTML."""
+    """Return the simulated time, the commands, the measured values, and the robot's height as HTML."""
     fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
     word = "paused" if controls.paused else f"{controls.speed:g}x"
     time = f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
@@ -103,7 +103,7 @@ def _bar(left: float, width: float, colour: str) -> str:
     )
 
 
-# A key has the browser's name of its position, which does not depend on the keyboard layout.
+# A browser names a key by its position, so that the name does not depend on the keyboard layout.
 KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
     **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
@@ -115,21 +115,21 @@ KEYS: dict[str, tuple[str, float]] = {
     "KeyG": ("height", -1.0),
 }
 KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop", "KeyM": "slow"}
-# In the standard gamepad layout, axis 1 is -1 if the left stick points forwards.
-# Axis 2 is 1 if the right stick points to the right.
+# Axis 1 of a standard gamepad is -1 if the left stick points forwards.
+# Axis 2 of a standard gamepad is 1 if the right stick points to the right.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
 _BUTTONS = {0: "push", 1: "reset", 2: "slow", 9: "pause"}
-_DEADZONE = 0.12  # Stick values below this limit are ignored, because an untouched stick is not exactly at 0.
-SLOW = 0.25  # In slow motion, one second of real time shows this many simulated seconds.
+_DEADZONE = 0.12  # Gamepad stick values below this limit are ignored, because an untouched stick is not exactly at 0.
+SLOW = 0.25  # The number of simulated seconds that slow motion shows in one second of real time.
 _MAX_MESSAGE = 1024  # bytes of a message
 
 
 class InputServer:
     """Receives key and gamepad input from web pages in a browser on this machine.
 
-    When a web page disconnects, the server releases all command axes that this page controls. ``origins`` are the
-    accepted web origins, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of the robot when the push
-    key is pressed, m/s.
+    When a web page disconnects, the server releases the command axes that the disconnected page controlled. ``origins``
+    are the web origins that the server accepts, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of
+    the robot when the push key is pressed, m/s.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
@@ -141,7 +141,7 @@ class InputServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self) -> str:
-        """Return the JavaScript that sends key and gamepad input from the web page to this server."""
+        """Return the JavaScript that sends key and gamepad input from the web page to the key server."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
@@ -163,7 +163,7 @@ class InputServer:
         self._thread.join()
 
     def press(self, name: str) -> None:
-        """Carry out the action of the keyboard key ``name``; ignore a key without an action."""
+        """Carry out the action of the keyboard key ``name``; a key without an action has no effect."""
         controls = self.controls
         if name == "pause":
             controls.paused = not controls.paused
@@ -200,16 +200,16 @@ class InputServer:
             self.press(said["press"])
 
 
-# The camera's direction, and the camera's distance as a multiple of the robot's base height.
+# The direction of the camera, and its distance as a multiple of the height of the robot's base.
 _CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
 
 class DrivePage:
-    """A context manager that serves the drive's web page to browsers on this machine."""
+    """A context manager that serves a web page on which a user drives the robot, to browsers on this machine."""
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
-        # Return viser's server class, which here opens no tunnels to other machines, and mjviser's scene class.
+        # Return mjviser's scene class and a viser server class that opens no tunnels to other machines.
         try:
             import viser
             from mjviser import ViserMujocoScene
@@ -238,7 +238,7 @@ class DrivePage:
         if self._port not in (0, self._server.get_port()):
             raise port_in_use(self._port, "the page")
         origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
-        # Close connections from other web pages, because any page in the browser can try to connect to this server.
+        # Accept only connections from ``origins``, because any page in the browser can try to connect to this server.
         own = self._server._websock_server
 
         async def check(client: Any) -> None:
@@ -261,13 +261,13 @@ class DrivePage:
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show the robot, ground, and controls of a new drive; return the URL of the web page."""
+        """Show the robot, the ground, and the controls on the web page, and return the page's URL."""
         self._session, self._hands.push = session, push
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
         self._server.gui.reset()
-        model = copy.copy(session.env.scene.sim.model)  # Copy the model, because mjviser changes its colours.
+        model = copy.copy(session.env.scene.sim.model)  # mjviser changes the colours of a copied model.
         self._scene = self._scene_class(self._server, model, num_envs=1)
         away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
         self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
@@ -295,7 +295,7 @@ class DrivePage:
             finish = gui.add_button("Finish", hint="end the drive and write its figures")
             finish.on_click(lambda _: controls.request(Finish()))
         gui.add_html(KEYS_HELP)
-        # Run the JavaScript in every web page that is open or opened later, as viser does for its plots.
+        # Run the JavaScript in every browser page, open now or opened later, as viser does for its plots.
         source = self._hands.javascript()
         from viser._messages import RunJavascriptMessage
 
@@ -303,7 +303,7 @@ class DrivePage:
         return self.url
 
     def show(self, status: Status) -> None:
-        """Show the current state of the drive on the web page."""
+        """Show the current state of the driven robot on the web page."""
         env = self._session.env
         self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
         mujoco.mj_kinematics(self._scene.mj_model, self._data)
@@ -312,7 +312,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # A key or the drive script changed this command.
+                if self._mirrored.get(name) != value:  # A key or the drive script changed the command.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
@@ -330,7 +330,7 @@ class DrivePage:
 
         @slider.on_update
         def _(event: Any) -> None:
-            if event.client is not None:  # A user, not the method ``show``, moved the slider.
+            if event.client is not None:  # The user moved the slider, not the method ``show``.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 
@@ -357,6 +357,6 @@ class DrivePage:
 
 @contextmanager
 def _without_output() -> Iterator[None]:
-    """Suppress the console output of the package viser, which would mix with the output of the wheelleg command."""
+    """Suppress the console output of the package viser, so that only the output of the wheelleg command appears."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

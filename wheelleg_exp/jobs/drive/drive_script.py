@@ -1,8 +1,8 @@
-"""Read a drive script, and write a finished drive as a drive script that repeats this drive.
+"""Read a drive script (timed commands for a simulated robot), and write a finished drive as a drive script.
 
-A drive script is a YAML list of entries with commands and requests. Each entry starts at ``at`` (default: the end of
-the previous entry) and lasts for ``for`` (default: 0), both in simulated seconds. A command keeps its value until a
-later entry of the script changes this command.
+A drive script is a YAML list of timed entries that contain commands and requests. Each entry starts at ``at`` (default:
+the end of the previous entry) and lasts for ``for`` (default: 0), both in simulated seconds. A command keeps its value
+until a later entry of the drive script changes the value.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _ACTIONS = ("push", "reset", "stop")
 
 @dataclass(frozen=True)
 class Entry:
-    """The commands and requests of a drive script at the simulated time ``at``, s."""
+    """One entry of a drive script: the commands and requests at the simulated time ``at``, s."""
 
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False  # whether every axis that ``values`` does not name gets its rest value
+    stops: bool = False  # whether every command axis that ``values`` does not name gets its rest value
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,18 @@ class Script:
 
 
 class ScriptPlayer:
-    """Applies the commands and requests of a drive script before the control steps at which they are due."""
+    """Applies each command and request of a drive script before the control step at which it is due."""
 
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
-        # An entry applies from the first control step at or after its time.
-        # The time is rounded, so that a floating-point error does not delay the entry by one control step.
+        # A drive script's entry applies from the first control step at or after the entry's time.
+        # The entry's time is rounded, so that a floating-point error does not delay the entry by one control step.
         self._steps = [math.ceil(round(entry.at / step_dt, 6)) for entry in script.entries]
         self.last_step = math.ceil(round(script.duration_s / step_dt, 6))
         self._next = 0
 
     def before(self, step: int) -> None:
-        """Apply the script's commands and requests that are due before a control step; the first step has number 0."""
+        """Apply the drive script's commands and requests that are due before a control step; steps count from 0."""
         due = bisect_left(self._steps, step + 1)
         for entry in self._script.entries[self._next : due]:
             if entry.stops:
@@ -69,7 +69,7 @@ class ScriptPlayer:
 
 
 def read_script(path: Path, axes: Sequence[Axis]) -> Script:
-    """Read a drive script. An unknown key or an out-of-range value raises ConfigError with its line number."""
+    """Read a drive script. For an unknown key or an out-of-range value, ConfigError names the line."""
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
@@ -107,7 +107,7 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Return a script entry and its end time, s; the previous entry starts at ``before`` and ends at ``end``."""
+    """Return a drive script's entry and its end time, s; the previous entry runs from ``before`` to ``end``."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
@@ -171,7 +171,7 @@ def _example(axes: Sequence[Axis]) -> str:
 
 
 class DriveLog:
-    """Records each changed command and each request of a drive with its control step."""
+    """Records each changed command and each user request with the control step at which it was applied."""
 
     def __init__(self, step_dt: float) -> None:
         self._step_dt = step_dt
@@ -179,18 +179,18 @@ class DriveLog:
         self._values: dict[str, float] = {}
 
     def commanded(self, step: int, values: Mapping[str, float]) -> None:
-        """Record the commands of a control step in the log of the drive."""
+        """Record the commands that apply in a control step."""
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
             self._entries.append((step, changed))
             self._values = dict(values)
 
     def asked(self, step: int, request: Reset | Push) -> None:
-        """Record a request that the driver made before a control step."""
+        """Record a request that the user made before a control step."""
         self._entries.append((step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}))
 
     def script(self, steps: int) -> list[dict[str, Any]]:
-        """Return the entries of a drive script that repeats this drive of ``steps`` control steps."""
+        """Return the entries of a drive script that repeats the ``steps`` recorded control steps."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
         entries[-1]["for"] = round(self._time(steps) - self._time(self._entries[-1][0] if self._entries else 0), 6)
         return entries

@@ -1,4 +1,4 @@
-"""Simulate one robot under a policy, apply the driver's commands and requests, and measure the drive."""
+"""Simulate one robot under a policy with the commands and requests of a user, and compute metrics of the motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-# Each function computes the measured value of a command axis from the data of the driven robot.
+# Each function measures the value of a command axis, such as a speed, on the robot that the user drives.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
     "lin_vel_x": lambda data: data.root_lin_vel_b[:, 0],
     "lin_vel_y": lambda data: data.root_lin_vel_b[:, 1],
@@ -29,10 +29,10 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 
 
 class DriveMeter:
-    """Computes the metrics of a drive step by step; ``definitions.drive`` defines the metrics.
+    """Computes the metrics of a robot that a user drives, step by step; ``definitions.drive`` defines each metric.
 
-    ``height_m`` is the height of the root link's origin above the ground in the last control step, m. ``measured``
-    holds the measured value of each axis that can be measured: m/s, rad/s, m and rad.
+    ``height_m`` is the height of the robot's root link above the ground in the last control step, m. ``measured`` holds
+    the measured value of each axis that can be measured: m/s, rad/s, m and rad.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
@@ -47,11 +47,11 @@ class DriveMeter:
 
     @property
     def falls(self) -> int:
-        """The number of episodes that ended by a termination term."""
+        """The number of episodes that a termination term has ended."""
         return sum(self._ended.values())
 
     def observe(self, commanded: Mapping[str, float]) -> None:
-        """Measure the control step that has just ended; ``commanded`` are the commands in this step."""
+        """Update the metrics for the last control step; ``commanded`` are the commands in this step."""
         place = self._env.scene.robot.data.root_pos_w[0, :2].clone()
         if self._place is not None:
             self._distance += float(torch.linalg.vector_norm(place - self._place))
@@ -64,7 +64,7 @@ class DriveMeter:
             self._squares[name] += (value - commanded[name]) ** 2
 
     def ended(self, by: str) -> None:
-        """Count an ended episode under the name ``by`` of its termination term."""
+        """Count an episode that the termination term with the name ``by`` ended."""
         self._ended[by] += 1
 
     def asked(self, request: Reset | Push) -> None:
@@ -76,7 +76,7 @@ class DriveMeter:
         self._place = None
 
     def figures(self) -> dict[str, Any]:
-        """Return the metrics of the drive as values that JSON can store."""
+        """Return the metrics of the driven robot as values that JSON can store."""
         count = max(self._steps, 1)
         return {
             "duration_s": self._steps * self._env.step_dt,
@@ -105,22 +105,22 @@ class DriveMeter:
 
 @dataclass(frozen=True)
 class Status:
-    """The state of a drive at one moment, as Python numbers."""
+    """The state of a driven robot and its episode at one moment, as Python numbers."""
 
-    time_s: float  # the simulated time since the start of the drive, s
+    time_s: float  # the simulated time since the user started to drive, s
     commands: dict[str, float]
     measured: dict[str, float]
     height_m: float
-    rewards: dict[str, float] = field(default_factory=dict)  # the weighted reward per second of each reward term
+    rewards: dict[str, float] = field(default_factory=dict)  # the weighted reward per second, by reward term
     falls: int = 0
-    fallen: str | None = None  # how the episode ended; None while the episode runs
+    fallen: str | None = None  # how the episode ended, or None while the episode runs
 
 
 class DriveSession:
     """A drive of one robot. Nothing is reset automatically: an episode that has ended waits for a reset.
 
-    ``driven`` is the log of the drive's commands and requests. ``fallen`` describes how the episode ended; None while
-    the episode runs.
+    ``driven`` is the log of the user's commands and requests. ``fallen`` describes how the episode ended, and is None
+    while the episode runs.
     """
 
     def __init__(self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor]) -> None:
@@ -143,11 +143,11 @@ class DriveSession:
 
     @property
     def time_s(self) -> float:
-        """The simulated time since the start of the drive, s."""
+        """The simulated time since the user started to drive the robot, s."""
         return self.steps * self.env.step_dt
 
     def step(self) -> None:
-        """Simulate one control step with the driver's current commands."""
+        """Simulate one control step with the user's current commands."""
         values = self.controls.values
         self.driven.commanded(self.steps, values)
         self._hold(values)
@@ -162,7 +162,7 @@ class DriveSession:
             self.meter.ended(self.fallen)
 
     def obey(self, request: Reset | Push) -> None:
-        """Carry out a request of the driver; after a fall, ignore every request except ``Reset``."""
+        """Carry out a request of the user; after the robot has fallen, ignore every request except ``Reset``."""
         if self.fallen is not None:
             if isinstance(request, Reset):
                 self.reset()
@@ -175,7 +175,7 @@ class DriveSession:
             self.reset()
 
     def reset(self) -> None:
-        """Start a new episode with the driver's current commands."""
+        """Start a new episode with the user's current commands."""
         self._hold(self.controls.values)
         self.env.reset()
         self.meter.began()
@@ -190,7 +190,7 @@ class DriveSession:
         self.env.scene.refresh()
 
     def status(self) -> Status:
-        """Return the state of the drive."""
+        """Return the state of the driven robot."""
         return Status(
             time_s=self.time_s,
             commands=self.controls.values,

@@ -1,7 +1,7 @@
 """Drive a trained robot: in real time in the browser, or from a script as fast as it computes.
 
-A drive has one robot, on the ground of the training or on another ground. Pushes and other events during an episode
-happen only at the driver's request. Each drive is recorded, and saved in the run directory.
+In a drive, a user steers one simulated robot on the ground of the training or on a chosen ground. The robot is pushed
+only when the user requests a push. The recording of each drive is saved in the run directory.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as
 
-OWN_GROUND = "own"  # the run's own ground
+OWN_GROUND = "own"  # the ground of the training
 _GROUP = "scene"
-_DISTURBANCES = ("interval", "step")  # Events with these modes, such as pushes, happen during an episode.
+_DISTURBANCES = ("interval", "step")  # The modes of event terms that act during an episode, such as pushes.
 
 
 def scenes() -> list[str]:
@@ -42,11 +42,11 @@ def scenes() -> list[str]:
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
-    """Return the config of ``wheelleg play``, changed for a drive.
+    """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
-    The changed config has one robot, episodes of ``drive.episode_length_s``, and no curriculum. In a drive, events
-    happen only at startup and reset. The command terms use no heading control and no standing robots. ``scene`` names
-    the scene config whose ground replaces the training's ground; ``own`` means the training's ground.
+    The config for a drive has one robot, episodes of ``drive.episode_length_s``, and no curriculum. Events, such as
+    pushes, happen only at startup and reset. In a drive, the command terms use no heading control and no standing
+    robots. ``scene`` names the scene config with the ground of the drive; ``own`` selects the ground of the training.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -59,8 +59,8 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        # Replace the ground of the run's scene by the ground of another scene.
-        # A sensor that both scenes have gets the settings of the other scene.
+        # Replace the ground of the run's scene by the ground of the chosen scene.
+        # A sensor that exists in both scenes gets its settings from the chosen scene.
         own = env["scene"]
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
@@ -69,11 +69,11 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     return tree
 
 
-_MAX_DELAY_S = 0.1  # The pacer does not make up for longer delays, so a slow machine shows the drive in slow motion.
+_MAX_DELAY_S = 0.1  # The pacer does not make up for delays above this limit, so a slow machine shows slow motion.
 
 
 class RealTimePacer:
-    """Waits between control steps, so that the simulation runs in real time."""
+    """Waits between control steps so that simulated time passes as fast as real time."""
 
     def __init__(
         self,
@@ -87,14 +87,14 @@ class RealTimePacer:
         self._due = self._next_frame = clock()
 
     def wait(self, speed: float) -> None:
-        """Wait until the real time at which the next control step is due."""
+        """Wait until the real time at which the next control step must start."""
         self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
         left = self._due - self._clock()
         if left > 0.0:
             self._sleep(left)
 
     def is_frame_due(self) -> bool:
-        """Return whether the view must show a new picture now; if so, schedule the next picture."""
+        """Return whether the view must show a new picture now; if true, schedule the picture after it."""
         now = self._clock()
         if now < self._next_frame:
             return False
@@ -105,18 +105,18 @@ class RealTimePacer:
 
 
 class DriveView(Protocol):
-    """A view that shows a drive to the driver and receives the driver's requests."""
+    """A view that shows the driven robot to the user, and receives the user's requests."""
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a new drive of the chosen checkpoint and ground; return the view's address; ``push`` is in m/s."""
+        """Show the robot on the chosen ground; return the view's address; ``push`` is the speed of a push, m/s."""
 
     def show(self, status: Status) -> None:
-        """Show the state of the drive."""
+        """Show the state of the driven robot."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of a drive; ``definitions.drive`` explains the metrics in ``figures``."""
+    """The result of a drive by a user; ``definitions.drive`` explains the metrics in ``figures``."""
 
     checkpoint: Path
     folder: Path
@@ -126,7 +126,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """The policy and the ground of a drive, by default the run's last checkpoint and the training's ground."""
+    """A request to drive with a policy (by default the run's last) on a ground (by default the training's)."""
 
     run: RunDirectory
     checkpoint: Path | None = None
@@ -137,10 +137,10 @@ class DriveRequest:
 
 
 def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
-    """Drive until the driver finishes. Each change of the checkpoint or the ground starts a new drive.
+    """Drive the robot until the user finishes. A new drive starts if the user chooses a new checkpoint or ground.
 
-    Without a view, a drive script is required, and the simulation runs faster than real time. With a view, the drive
-    script runs first, in real time, and then the driver takes over.
+    Without ``view``, a drive script is required, and the simulation runs faster than real time. With ``view``, the
+    drive script runs first, in real time, and then the user takes over.
     """
     drives: list[Drive] = []
     choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
@@ -156,9 +156,9 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 def _drive_one(
     request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
-    """Simulate one drive; return its result, and the driver's next choice of checkpoint and ground, or None."""
+    """Simulate one drive; return its result, and the checkpoint and ground that the user chose next, or None."""
     scene = pick.scene or OWN_GROUND
-    # Raise ConfigError if the scene name is unknown.
+    # If the name of the scene is unknown, raise ConfigError.
     known = scenes()
     if scene not in known:
         message = f"unknown ground '{scene}'"
@@ -194,7 +194,7 @@ def _drive_one(
 
 
 class _Driver:
-    """Simulates a drive until its script ends, the driver stops, or the driver chooses another checkpoint or ground."""
+    """Simulates a drive until its script ends, the user stops, or the user chooses a new checkpoint or ground."""
 
     def __init__(
         self,
@@ -216,7 +216,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Run the drive; return the driver's next choice of checkpoint and ground, or None if the driver stopped."""
+        """Run the drive; return the checkpoint and ground that the user chose next, or None if the user stopped."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):
@@ -225,7 +225,7 @@ class _Driver:
                     return request
                 self._session.obey(request)
             if self._session.fallen is not None:
-                # Reset a fallen robot after the page has shown the fall for a moment.
+                # Reset a fallen robot after the web page has shown the fall for a moment.
                 now = time.monotonic()
                 self._fallen_at = now if self._fallen_at is None else self._fallen_at
                 if now - self._fallen_at >= self._shown_s:

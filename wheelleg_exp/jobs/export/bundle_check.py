@@ -1,6 +1,6 @@
-"""Record episodes in the training's simulation, and compare every policy file of a bundle with the recorded steps.
+"""Record episodes in the training's simulation, and compare each policy file of a bundle with the recorded actions.
 
-Each compared step is computed from recorded inputs, because a closed loop would amplify rounding errors.
+The compared actions are computed from recorded observations, because a closed loop would amplify rounding errors.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ def recorded_episodes(
     clip_actions: float | None,
     steps: int,
 ) -> dict[str, np.ndarray]:
-    """Record a policy's observations and actions in the first environment, float32, with one row per control step.
+    """Record a policy's observations and actions in the first environment, as float32, one row per control step.
 
-    ``policy`` returns the mean action that is applied. ``trained`` computes the mean action in float32, as in training.
-    The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width); ``observations`` (T,
-    O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions, velocities, efforts of
-    all joints.
+    ``policy`` computes the mean action that controls the robot. ``trained`` computes the mean action of the policy in
+    float32, as in training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T,
+    width); ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J):
+    positions, velocities, efforts of all joints.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray]] = {}
@@ -62,13 +62,13 @@ def recorded_episodes(
         _, _, dones, _ = adapter.step(actions)
         begins = bool(dones[0])
         if begins:
-            env.reset()  # Clear the observation histories, as in a deployed runner before its first step.
+            env.reset()  # Clear the observation histories, because a deployed policy starts with empty histories.
     return {name: np.stack(values) for name, values in rows.items()}
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return the joint targets (N, 3, J) of the first physics step after ``actions``, and restore the state."""
-    # Clip the target positions to the joint limits, as the bundle's runner does. The training does not clip targets.
+    """Return joint targets (N, 3, J) of the first physics step after ``actions``; reset the action manager's state."""
+    # Clip the target positions to the joint limits, as the bundle's runner does, but not the training.
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
     manager.process_action(actions)
@@ -80,7 +80,7 @@ def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
     return found
 
 
-# The tolerances are relative to max(1, |recorded value|). Sums in float32 need the larger tolerance.
+# Tolerances relative to max(1, |recorded value|); sums in float32 need a larger tolerance than sums in float64.
 TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
 _FLOAT64 = ("observations", "actions", "targets", "c_double")
 _COMPILERS = ("cc", "gcc", "clang")
@@ -114,10 +114,10 @@ int main(void) {
 
 
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
-    """Return the largest difference of each policy file from ``check.npz``, and a note if the header was not compared.
+    """Return each policy file's largest difference from ``check.npz``, and a note if the C header was not compared.
 
     ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``. A
-    difference above its tolerance raises SimulationFailure.
+    policy file whose difference exceeds its tolerance raises SimulationFailure.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
     recorded = dict(np.load(folder / "check.npz"))
@@ -159,5 +159,5 @@ def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[di
 
 
 def _rows(recorded: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Concatenate the recorded arrays (T, ...) to one float32 array (T, sum of the widths)."""
+    """Concatenate the arrays ``names`` (T, ...) of a recording to one float32 array (T, sum of their widths)."""
     return np.concatenate([recorded[name].reshape(len(recorded["reset"]), -1) for name in names], 1, dtype=np.float32)

@@ -1,7 +1,7 @@
 """Describe a policy in ``policy.json``: everything between sensor readings and joint targets, as numbers.
 
-``policy.json`` describes the action terms, the drive of each joint, and the network. A term or network that a runner
-cannot compute raises a ``ConfigError`` with the name of the term or network.
+``policy.json`` describes the action terms of a policy, the drive of each joint, and the policy's network. A term or
+network that the bundle's runner cannot compute raises a ``ConfigError`` with its name.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 
 
 def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
-    """Return a description of each actuator group of the robot, in order.
+    """Return a description of each actuator group of the robot, in the order of the config.
 
     ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (spring and
     damper, computed from the state before each physics step), ``dc_motor`` (with a motor's torque-speed line), or null:
@@ -51,16 +51,16 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
-    """Return the control law of an actuator group, from targets to torques; None for a law that no runner supports."""
+    """Return an actuator group's control law (from joint targets to torques); None if no runner supports this law."""
     return _DRIVE_LAWS.get(type(group))
 
 
 def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
     """Return the drive gains, limits, and mechanical properties of every joint, in the robot's joint order.
 
-    Joints without a drive have gains of 0. ``inertia`` is the inertia of the moved bodies about the joint's axis,
-    without ``armature``. ``drive_rate`` (Hz) is the rate at which a drive must compute its torque: each physics step,
-    and ten times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
+    The drive gains of a joint without a drive are 0. ``inertia`` is the inertia of the bodies that a joint moves, about
+    the joint's axis, without ``armature``. ``drive_rate`` (Hz) is the rate at which a drive must compute its torque:
+    each physics step, and ten times the rate for stability (kp·dt² + 2·kd·dt < 4·I).
     """
     robot = env.scene.robot
     count = len(robot.joint_names)
@@ -77,7 +77,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # the inertia at each joint while all joints are free
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # the inertia about each joint's axis, all joints free
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
     found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
@@ -85,7 +85,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
 
 
 def finite(value: float) -> float | None:
-    """Return a number, or None if the number is not finite, because JSON has no inf."""
+    """Return ``value``, or None if it is not finite, because JSON has no inf."""
     return value if abs(value) < float("inf") else None
 
 
@@ -93,7 +93,7 @@ Spec = dict[str, Any]
 
 
 def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
-    """Return the action terms in order, each with its slice of the policy's output and its joints."""
+    """Return the action terms of a policy in order, each with its slice of the policy's output and its joints."""
     manager, start, found = env.action_manager, 0, []
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
         term, bound = manager.get_term(name), manager.get_term_cfg(name)
@@ -105,14 +105,14 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
-        # The runner adds no delay, because a real robot has a real delay between policy and drives.
+        # The bundle's runner adds no delay, because a real robot has a delay between policy and drives.
         found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
         start += width
     return found
 
 
 def _clip(term: Any) -> list[list[float | None]] | None:
-    """Return the lower and upper clip bound of each joint's target; null means no bound."""
+    """Return the lower and upper bound to which each joint's target is clipped; null means no bound."""
     if term._low is None:
         return None
     return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
@@ -150,7 +150,7 @@ _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
 
 _ACTIVATIONS: dict[type, str] = {
     torch.nn.ELU: "elu",
-    torch.nn.CELU: "elu",  # rsl_rl uses alpha 1
+    torch.nn.CELU: "elu",  # rsl_rl uses an alpha of 1
     torch.nn.ReLU: "relu",
     torch.nn.LeakyReLU: "leaky_relu",
     torch.nn.SELU: "selu",
@@ -202,7 +202,7 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
     """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
-    # In float64, two libraries compute actions that are equal after rounding to float32. In float32, actions differ.
+    # Libraries compute different actions in float32; in float64, the actions are equal after rounding to float32.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:
@@ -223,9 +223,9 @@ def specification(
 ) -> dict[str, Any]:
     """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
-    Lists with one value per joint have the order of ``joint_names``; null means no limit. Keys for quantities of Isaac
-    Lab have the names that Isaac Lab uses. The environment must have one robot and no events, because events can change
-    the parameters of the robot. ``ranges`` contains the [low, high] of each command component at the end of training.
+    In ``policy.json``, a list with one value per joint has the order of ``joint_names``, and null means no limit. Keys
+    that Isaac Lab also has are named as in Isaac Lab. ``env`` must have one robot and no events, because events can
+    change the robot. ``ranges`` contains the range [low, high] of each command component at the end of training.
     """
     robot, layout = env.scene.robot, env.scene.robot.layout
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
@@ -276,7 +276,7 @@ def specification(
 def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, Any]]) -> list[int]:
     """Return the joints whose positions count from the reset: without limits, and not driven to an absolute position.
 
-    An encoder does not measure how often a wheel has turned. In training, each episode starts at the default position.
+    A wheel's encoder does not count turns of the wheel. In training, wheels start episodes at their default positions.
     """
     driven = {i: term["function"] for term in actions if term["drives"] == "position" for i in term["joint_ids"]}
     free = [i for i, pair in enumerate(limits) if pair == [None, None]]
@@ -284,7 +284,7 @@ def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, An
 
 
 def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
-    """Return the acceleration limits of the commands, m/s² and rad/s²; commands without limits are left out."""
+    """Return the acceleration limits of the commands, m/s² and rad/s², without commands that have no limits."""
     found = {}
     for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
         most = getattr(env.command_manager.get_term(name), "max_acceleration", None)
@@ -294,7 +294,7 @@ def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
 
 
 def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:
-    """Return the poses of the IMUs that the policy reads."""
+    """Return the pose of each IMU whose readings the policy observes."""
     found = {}
     for name, sensor in env.scene.sensors.items():
         if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):

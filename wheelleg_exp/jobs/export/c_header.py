@@ -2,7 +2,7 @@
 
 The header is generated from ``policy.json`` and the network's arrays: fixed numbers become constants, and memory
 becomes a struct. In the generated C lines, ``r`` contains the sensor readings, ``s`` the policy's state, and ``v`` the
-sample of a term.
+sample of an observation term.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield the C struct members that store an observation term's history and modifier states."""
+    """Yield the C struct members that store the history and the modifier states of an observation term."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"
@@ -31,7 +31,7 @@ def term_memory(name: str, term: Spec) -> Iterator[str]:
 
 
 def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
-    """Yield the C lines that compute an observation term and append the value to the term's history."""
+    """Yield the C lines that compute the value of an observation term and append this value to the term's history."""
     yield f"/* {in_comment(term['name'])} */"
     yield from _value(name, term, float(spec["step_dt"]))
     width = term["width"]
@@ -150,7 +150,7 @@ def _modified(name: str, modifier: Spec) -> str:
 
 
 def identifier(name: str) -> str:
-    """Return a valid C identifier for a name."""
+    """Return ``name`` as a valid C identifier."""
     return re.sub(r"\W", "_", name)
 
 
@@ -173,7 +173,7 @@ _ACTIVATIONS = {
 
 
 def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the text of ``policy.h``; ``spec`` is ``policy.json``, and ``arrays`` are the network's weights."""
+    """Return the C header ``policy.h`` as text; ``spec`` is ``policy.json``; ``arrays`` are the network's weights."""
     groups = enumerate(spec["observations"])
     terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
@@ -232,13 +232,13 @@ def _constants(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Ite
 
 
 def _literal(word: str, kind: str) -> str:
-    """Return a C literal of a number; add a missing decimal point, because ``1f`` is invalid C."""
+    """Return a C literal of a float; a whole number gets a decimal point, because ``1f`` is invalid C."""
     point = "" if any(mark in word for mark in ".en") else ".0"
     return word + point + ("f" if kind == "float" else "")
 
 
 def _layout(spec: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the C lines that copy histories into the observation, group by group."""
+    """Yield the C lines that copy the histories of observation terms into the observation, group by group."""
     yield "next = s->observation;"
     for g, group in enumerate(spec["observations"]):
         lengths = [max(1, term["history_length"]) for term in group["terms"]]

@@ -1,4 +1,4 @@
-"""Describe observation terms and sensor readings for a bundle's runner; an unsupported term raises ConfigError."""
+"""Describe observation terms and sensor readings for a bundle's runner; ConfigError means an unsupported term."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ READINGS = {
     "joint_effort": Reading("N·m", "torques of the drives, in the order of joint_names", obs.joint_effort_commanded),
 }
 
-# For each quantity of an IMU, the unit, the meaning, and the attribute of the sensor's data.
+# For each quantity that an IMU measures: its unit, its meaning, and its attribute in the sensor's data.
 QUANTITIES = {
     "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
     "lin_acc": ("m/s^2", "acceleration in its own axes; at rest it reads gravity upwards", "lin_acc_b"),
@@ -55,7 +55,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return a reading by its name, such as ``base_quat``, ``commands.<term>``, or ``<imu>.<quantity>``."""
+    """Return the value of a sensor reading, such as ``base_quat``, ``commands.<term>``, or ``<imu>.<quantity>``."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):
@@ -70,11 +70,11 @@ def reading(name: str) -> Reading:
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the sensor name that observation terms use by default
+_IMU = "imu"  # the name of the sensor that observation terms read by default
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
-    """Return a description of a policy's observation groups and of their terms, in order."""
+    """Return a description of a policy's observation groups and of the groups' terms, in order."""
     found: list[Spec] = []
     for group in groups:
         node = env.cfg["observations"][group]
@@ -85,7 +85,7 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
 
 
 def readings_of(groups: list[Spec]) -> list[str]:
-    """Return the names of the sensor readings that observation terms need; joint positions are always included."""
+    """Return the names of the sensor readings that a policy's observation terms need, and of the joint positions."""
     names: list[str] = []
     for term in (term for group in groups for term in group["terms"]):
         names += [term["reading"]] if "reading" in term else term.get("needs", [])
@@ -109,7 +109,7 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
     spec["clip"] = None if clip is None else [float(clip[0]), float(clip[1])]
     if scale is not None:
         spec["scale"] = [float(scale)] * term.width if isinstance(scale, (int, float)) else list(map(float, scale))
-    # The runner adds no noise, because a real robot has real noise.
+    # The bundle's runner adds no noise, because the sensors of a real robot have noise.
     noise = node.get("noise") if env.cfg["observations"][bound.path.split(".")[2]].get("enable_corruption") else None
     return spec | {"trained_with": {"noise": noise, "delay_steps": node.get("delay")}}
 

@@ -72,7 +72,7 @@ class Verdict:
 
 
 def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
-    """Compare an evaluation's metrics with the bounds of a gate; NaN and inf never satisfy a bound."""
+    """Compare an evaluation's metrics with the bounds that a pipeline phase must meet; NaN and inf meet no bound."""
     bounds = [(name, bound, True) for name, bound in gate.at_least.items()]
     bounds += [(name, bound, False) for name, bound in gate.at_most.items()]
     values, why = {}, []
@@ -90,5 +90,5 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
 
 
 def streak(verdicts: list[bool]) -> int:
-    """Return the number of passed evaluations since the last failed evaluation."""
+    """Return how many evaluations of a phase have passed since the phase's last failed evaluation."""
     return len(list(takewhile(bool, reversed(verdicts))))

@@ -1,4 +1,4 @@
-"""Compose the configs of a pipeline and of its phases, and check these configs before the first phase starts."""
+"""Compose the configs of a training pipeline and of its phases, and check all configs before the first phase starts."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from wheelleg_exp.terms.config_values import require_fit
 from wheelleg_exp.terms.key_syntax import PIPELINE as PRIMARY
 from wheelleg_exp.terms.key_syntax import split_path
 
-_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # Only the pipeline sets these keys.
+_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # config keys that only the pipeline sets
 _NAME = re.compile(r"[\w-]+")  # A phase name is a part of config keys and folder names.
 
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """A pipeline's config and phases; ``composed`` gives each key's file and line, or is None for a recorded config."""
+    """A pipeline's config and phases; ``composed`` locates each key in a YAML file; None for a recorded config."""
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
@@ -35,14 +35,14 @@ class PipelineSettings:
 
 
 def compose_pipeline(overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> PipelineSettings:
-    """Compose a pipeline's config from overrides, and check its settings."""
+    """Compose a pipeline's config from overrides, and check the settings of the pipeline."""
     composed = compose(overrides, primary=PRIMARY, config_dirs=config_dirs)
     with composed.placing():
         return replace(read_pipeline(composed.config[PRIMARY]), composed=composed)
 
 
 def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
-    """Read a pipeline from its recorded config, and check its settings."""
+    """Read a pipeline from its recorded config, and check the settings of the pipeline."""
     if errors := section_errors(PRIMARY, tree, Pipeline):
         raise_all(errors)
     named = read_section(Pipeline, tree, PRIMARY).phases
@@ -58,9 +58,9 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of a phase's training, except for the initial policy and the number of iterations.
+    """Return the Hydra overrides of a phase's training, without those for the initial policy and the iterations.
 
-    ``overrides`` are the command line's overrides, which apply to all phases.
+    ``overrides`` are the overrides of the command line, which apply to all phases of the pipeline.
     """
     return [f"task={phase.task}", *phase.overrides, *overrides, f"run.name={name}"]
 
@@ -68,10 +68,10 @@ def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[s
 def compose_phases(
     phases: Mapping[str, Phase], overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Composed]:
-    """Compose and check every phase, and check that each phase can start with the policy of the previous phase.
+    """Check the config of every phase, and check that each phase can start with the policy of the phase before it.
 
-    ConfigError lists the mistakes of all phases with the name of the phase. A mistake that all phases share is reported
-    once.
+    ConfigError lists the mistakes in the configs of all phases, each with the phase's name. A config mistake that all
+    phases of the pipeline share is reported only once.
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
@@ -85,7 +85,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # Entering the context checks the initial policy of the first phase.
+                pass  # Entering this context checks the initial policy of the first phase.
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:
@@ -106,7 +106,7 @@ def _key(text: str) -> str:
 
 
 def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[ConfigError]:
-    """Yield the mistakes in the settings of one phase, such as an override of a key that the pipeline itself sets."""
+    """Yield the mistakes in one phase's settings, such as an override of a config key that the pipeline itself sets."""
     key, gate = f"{PRIMARY}.phases.{name}", phase.gate
     if not _NAME.fullmatch(name):
         yield ConfigError(f"'{name}' is not a phase name", key=f"{PRIMARY}.phases", expected="letters, digits, - and _")
@@ -121,7 +121,7 @@ def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[Config
 
 
 def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose the evaluation protocol and the seed of a gate, which is an evaluation between two phases."""
+    """Compose the protocol and the seed of a gate, which is an evaluation that a pipeline phase must pass."""
     composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
     with composed.placing():
         require_fit("seed", composed.config["seed"], Seed)
@@ -129,7 +129,7 @@ def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
 
 
 def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
-    """Return an error about a phase with a key of the pipeline's config, for which the file and line are known."""
+    """Return an error about a phase, moved to a key of the pipeline's config whose file and line are known."""
     blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
     if blamed == f"task={phase.task}":
         return _at_key(error, f"{key}.task")
@@ -141,20 +141,20 @@ def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: S
 
 
 def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
-    """Return an error about a gate with a key of the pipeline's config, for which the file and line are known."""
+    """Return an error about a phase's gate, moved to a key of the pipeline's config whose file and line are known."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
     if blamed == f"protocol={gate.protocol}":
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
-    # Several overrides together can cause a wrong value, so the error names their common key.
+    # Several overrides together can cause a wrong value, so the error names the key that they have in common.
     if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):
         return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", "")
     return error
 
 
 def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
-    """Return the error with another key; if ``blamed`` is not None, the new message contains the old key."""
+    """Return ``error`` with a new config key; unless ``blamed`` is None, the message contains the old config key."""
     message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
     return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 
@@ -162,7 +162,7 @@ def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigEr
 def _mistakes_by_phase(
     wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
 ) -> Iterator[ConfigError]:
-    """Yield each mistake with the name of its phase; yield an override that is wrong in all phases only once."""
+    """Yield each mistake in a phase's config with the phase's name, but a wrong override of all phases only once."""
     of_all = [
         {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
         for errors in wrong.values()
@@ -191,6 +191,6 @@ def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
 
 
 def name_phase(error: ConfigError, name: str) -> ConfigError:
-    """Return an error whose message starts with the name of the phase."""
+    """Return ``error`` with the name of the phase at the start of its message."""
     message = f"phase '{name}': {error.message}"
     return ConfigError(message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest)

@@ -1,4 +1,4 @@
-"""Resume a pipeline that was stopped or killed, or whose policy did not pass an evaluation between two phases."""
+"""Resume a training pipeline that was stopped or killed, or whose policy failed the evaluation of a phase."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-_CHANGEABLE_LATER = ("max_iterations", "gate")  # A resume can change these settings of a started phase.
+_CHANGEABLE_LATER = ("max_iterations", "gate")  # the settings of a started phase that a resume can change
 
 
 def resume_pipeline(
     index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> PipelineSettings:
-    """Check that a pipeline can resume, and return its settings.
+    """Check that a pipeline can be resumed, and return the settings of the pipeline.
 
-    ``overrides`` change phases, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs`` is empty, the
-    recorded config folders are used. If the pipeline is running or finished, or an override is wrong, the pipeline's
-    record does not change.
+    ``overrides`` change phases of the pipeline, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs``
+    is empty, the pipeline's recorded config folders are used. If the pipeline is running or finished, or if an override
+    is wrong, the pipeline's record remains unchanged.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
         message = "this pipeline is still running"
@@ -69,7 +69,7 @@ def resume_pipeline(
 
 
 def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders of the resumed pipeline, which needs all recorded folders to compose its phases."""
+    """Return the config folders of a resumed pipeline, which needs all its recorded folders to compose its phases."""
     recorded = index.data["config_dirs"]
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
@@ -81,7 +81,7 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
 
 
 def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
-    """Check that the protocol of each changed gate measures every metric that the gate bounds."""
+    """Check that each changed gate (evaluation of a phase) measures every metric for which the gate has a bound."""
     if phases:
         from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
 
@@ -110,7 +110,7 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
 
 
 def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
-    """Return the record entry of a phase that failed its gate, updated for a further training or for a changed gate."""
+    """Return the updated record entry of a phase that failed its gate (evaluation), for a resume of the pipeline."""
     if not any(change.keys[2] == phase["name"] for change in found):
         message = f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}"
         expected = f"more than {config['max_iterations']}, or another gate"

@@ -1,7 +1,6 @@
-"""Run each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record.
+"""Train each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record.
 
-Before the first phase, ``require_metrics`` checks that the protocol of each gate measures every metric that the gate
-bounds.
+Before the first phase starts, ``require_metrics`` checks the evaluations of all phases.
 """
 
 from __future__ import annotations
@@ -53,8 +52,8 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
-    """Check that the protocol of each gate measures every metric that the gate bounds."""
-    # A short evaluation gives the names of the metrics. Its actions are NaN, so every episode ends after one step.
+    """Check that each gate (evaluation of a phase) measures every metric for which the gate has a bound."""
+    # A short evaluation gives the names of the metrics; NaN actions end every episode after one step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -85,7 +84,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # Check the complete protocol before the changes below.
+        read_section(Protocol, protocol, "protocol")  # Check the protocol before the following lines change it.
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:
@@ -96,10 +95,10 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
 
 
 class PipelineRunner:
-    """Runs the remaining phases of a pipeline, until a phase does not pass its gate or a stop is requested.
+    """Runs the unfinished phases of a pipeline, until a phase fails its gate (evaluation) or a stop is requested.
 
-    Each training, resume, and evaluation has its own process. So the run of a phase is bitwise equal to a run of
-    ``wheelleg train`` with the phase's overrides. A killed process can be resumed.
+    Each training, resume, and evaluation of a pipeline has its own process. The run of a phase is bitwise equal to a
+    run of ``wheelleg train`` with the overrides of this phase. A killed training can be resumed.
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
@@ -108,7 +107,7 @@ class PipelineRunner:
 
     @while_running()
     def run(self) -> PipelineStatus:
-        """Run the phases, and return the status of the pipeline."""
+        """Run the unfinished phases of a pipeline, and return the pipeline's status."""
         status: PipelineStatus = "failed"
         why: str | None = None
         try:
@@ -139,7 +138,7 @@ class PipelineRunner:
         return "finished", None
 
     def _phase(self, entry: dict[str, Any], phase: Phase, source: Path | None) -> str | None:
-        """Train one phase, and evaluate its policy at regular intervals; return why the pipeline must stop, or None."""
+        """Train one phase, and evaluate the phase's policy regularly; return why the pipeline must stop, or None."""
         while True:
             target = self._target(entry, phase)
             self._train(entry, phase, source, target)
@@ -162,12 +161,12 @@ class PipelineRunner:
         return None if passed else why
 
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
-        """Return the iteration after which the phase's policy is evaluated next."""
+        """Return the training iteration after which the phase's policy is evaluated next."""
         every = phase.gate.every if phase.gate is not None else None
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # A resume can change `every`, so the next regular evaluation may lie before the current iteration.
+        # A resume can change the setting `every`, so the next evaluation may lie before the current iteration.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 
@@ -214,13 +213,13 @@ class PipelineRunner:
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
         made = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
         self._index.update(entry, gates=[*entry["gates"], {**facts, **made}])
-        # If the policy fails the last evaluation of a phase, the pipeline stops and reports the reason.
+        # If the policy fails a phase's last evaluation, the pipeline stops and reports the reason.
         why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
         outcome = ("passed" if verdict.passed else "not passed") + why
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")
 
     def _perform(self, request: JobRequest, entry: dict[str, Any]) -> dict[str, Event]:
-        """Train, resume, or evaluate in a child process; return the last event of each event type."""
+        """Train, resume, or evaluate a run in a child process; return the last event of each type from the child."""
         last: dict[str, Event] = {}
         if self._stop.requested:
             raise Interrupted
@@ -246,7 +245,7 @@ class PipelineRunner:
 
 
 def _finished_iterations(run: Path) -> int:
-    """Return the number of iterations of a finished run; 0 for a run that has not finished."""
+    """Return the number of training iterations of a finished run, or 0 for an unfinished run."""
     with suppress(RunDirectoryError):
         manifest = RunDirectory(run).manifest()
         if manifest.status == "finished":

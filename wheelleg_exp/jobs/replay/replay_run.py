@@ -1,6 +1,6 @@
 """Replay a run: restore its source, train again from its snapshot alone, and compare with the original.
 
-A run can be replayed if it has ended and the files of its snapshot match the digests in its manifest.
+A run can be replayed if it has ended and its snapshot files have the sha256 that its manifest records.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | Non
 
 
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Raise RunDirectoryError if snapshot files differ from the manifest, or if several processes trained the run."""
+    """Raise RunDirectoryError if a run's snapshot differs from its manifest, or several processes trained the run."""
     if manifest.matches_digest() is False:
         message = "the manifest was changed after the run wrote it"
         raise RunDirectoryError(message, where=str(run.path / MANIFEST_NAME), expected="an unchanged run")
@@ -88,22 +88,22 @@ KIND = "replay"
 
 @dataclass(frozen=True)
 class Replayed:
-    """The result of a replay, with the comparison of the original run and the new run."""
+    """The result of a replay (a repeated training), with the comparison of the original run and the new run."""
 
     original: RunDirectory
     run: RunDirectory
     iterations: int
-    whole: bool  # whether all iterations of the original run were compared
+    whole: bool  # whether the replay repeated all iterations of the original run
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # ``equal``: whether the overrides compose to the snapshot's config; else the ``difference``
-    asset: Event  # ``converted``: whether the robot was converted again; ``note``: the reason if not
+    composed: Event  # whether the recorded overrides compose to the snapshot's config (``equal``, ``difference``)
+    asset: Event  # ``converted``: whether the robot was converted again; if not, ``note`` is the reason
     notes: list[str]
-    kept: Path | None  # the folder of the restored source code; None if this folder was removed
+    kept: Path | None  # the folder of the restored source code, or None if it was removed
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the replay's result as one JSON document."""
+        """Return the result of the replay as one JSON document."""
         return {
             "run": str(self.original.path),
             "replay": str(self.run.path),
@@ -133,13 +133,13 @@ def replay(
 ) -> Replayed:
     """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare the new run with the original.
 
-    A replay does not change the original run, the user's repositories, or the working tree. ``repositories`` are git
-    clones that may contain the run's commits. If ``iterations`` is None, all iterations of the run are trained. If
-    ``keep`` is true, the restored source code is not removed.
+    A replay does not change the original run or the user's git repositories. ``repositories`` are git clones that may
+    contain the commits of the run's source code. If ``iterations`` is None, the replay trains all iterations of the
+    original run. If ``keep`` is true, the replay does not remove the restored source code.
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
-    _config(run, manifest)  # Detect errors in the config before the source code is restored.
+    _config(run, manifest)  # Detect errors in the replay's config before the source code is restored.
     total = iterations_to_train(run, manifest, iterations)
     display.note(describe_code(run))
     with _workplace(keep) as workplace:
@@ -154,7 +154,7 @@ def replay(
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
         folder = source.now(str(manifest.data.get("working_directory") or "/"))
-        if not (folder.is_dir() and folder.is_relative_to(workplace)):  # The restored source may lack this folder.
+        if not (folder.is_dir() and folder.is_relative_to(workplace)):  # The restored source code may lack this folder.
             folder = workplace / "here"
         events = _train(request, source, environ, folder, display, stop)
     new = RunDirectory.open(events["run"]["path"], root)
@@ -180,12 +180,12 @@ def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], 
     try:
         return restore_all(run, workplace, repositories)
     except WheellegError:
-        stop.check()  # The error can come from git, which Ctrl-C also interrupts.
+        stop.check()  # The error can come from git, because Ctrl-C interrupts git, too.
         raise
 
 
 def _resume_notes(manifest: Manifest) -> list[str]:
-    """Return notes about a run's resumes, which the uninterrupted replay does not repeat."""
+    """Return notes about the resumes of a run, because a replay trains without interruption."""
     entries = manifest.data["resumes"]
     notes = []
     if entries:
@@ -207,14 +207,14 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     environ = replay_environ(recorded, also=asked_for)
     if manifest.data.get("config_variables") is None:
         return environ
-    # If the config names an environment variable that the manifest lacks, the variable was not set in the run.
-    # So remove such variables, except for variables that manifests never record.
+    # An environment variable that the config names and the manifest lacks was not set in the original run.
+    # Remove the variables that were not set in the original run; keep variables that manifests never record.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
 
 
 def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
-    """Return the config tree of a replay; recorded environment variables replace the variables of this process."""
+    """Return the config of a replay; recorded environment variables replace the variables of this process."""
     return recorded_config(run, {**os.environ, **_recorded_variables(manifest)})
 
 
@@ -241,7 +241,7 @@ def _report(display: Display, source: RestoredSource, machine: list[FactDifferen
 
 @contextmanager
 def _workplace(keep: bool) -> Iterator[Path]:
-    """Yield a new folder, and remove the folder on exit; ``keep`` preserves the source code of a successful replay."""
+    """Yield a new folder, and remove it on exit; ``keep`` preserves the restored source code of a successful replay."""
     with for_people(Path(tempfile.gettempdir())):
         folder = Path(tempfile.mkdtemp(prefix="wheelleg-replay-")).resolve()
     kept = False
@@ -256,7 +256,7 @@ def _workplace(keep: bool) -> Iterator[Path]:
 
 
 def _id(run: RunDirectory, manifest: Manifest) -> str:
-    """Return the run's id from its manifest, because a copied folder can have another name."""
+    """Return the run's id from its manifest, because the folder of a copied run can have a new name."""
     return str(manifest.data.get("id") or run.id)
 
 
@@ -299,9 +299,9 @@ def _request(
 def _train(
     request: Request, source: RestoredSource, environ: dict[str, str], folder: Path, display: Display, stop: StopRequest
 ) -> dict[str, Event]:
-    """Train the replay in a child process; return the last event of each event type."""
+    """Train a run again in a child process; return the last event of each type from the child."""
     # With the option -P, Python imports nothing from the working directory.
-    # The code is passed as text, so that the child process imports no file of the current version of this package.
+    # The program is passed as text, so that the child process imports no file of the current ``wheelleg_exp``.
     code = Path(restored_imports.__file__).read_text(encoding="utf-8")
     places = json.dumps({name: str(place) for name, place in source.places.items()})
     last: dict[str, Event] = {}

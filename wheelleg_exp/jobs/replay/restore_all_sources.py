@@ -24,24 +24,24 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """A source folder that a run recorded, and the origin of the folder's restored content."""
+    """A source folder that a run recorded, with the origin of the folder's restored content."""
 
     root: str
-    how: str  # how the source was found: restored, installed, in place (without a restore), or missing
+    how: str  # how the source was found: restored, installed, in place (not restored), or missing
     commit: str | None = None
     tree: str | None = None
-    origin: str | None = None  # the repository from which the commit was read
+    origin: str | None = None  # the repository from which the source's commit was read
 
 
 @dataclass
 class RestoredSource:
-    """All restored source folders of a run."""
+    """All source folders that were restored for a replay of a run."""
 
-    trees: list[RestoredTree] = field(default_factory=list)  # one tree per recorded folder, this package's tree first
-    places: dict[str, Path] = field(default_factory=dict)  # the restored folder of each top-level package or module
+    trees: list[RestoredTree] = field(default_factory=list)  # one tree per source folder, this package first
+    places: dict[str, Path] = field(default_factory=dict)  # maps each top-level package to its restored folder
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # folders of further packages that a new run records
+    source_roots: list[Path] = field(default_factory=list)  # the other folders that the new run records
     moved: dict[str, Path] = field(default_factory=dict)  # maps each recorded folder to its restored folder
     notes: list[str] = field(default_factory=list)
 
@@ -54,12 +54,12 @@ class RestoredSource:
         return self.moved[root] / Path(path).relative_to(root)
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return facts about the restored source folders as dictionaries."""
+        """Return the facts about all restored source folders as dictionaries."""
         return [asdict(tree) for tree in self.trees]
 
 
 def describe_code(run: RunDirectory) -> str:
-    """Return a sentence about the source code that a replay of a run executes."""
+    """Return a sentence that describes the source code with which a replay trains a run again."""
     main, *others = source_records(run)
     if main["commit"]:
         patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
@@ -76,9 +76,9 @@ def describe_code(run: RunDirectory) -> str:
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
     """Restore every source folder that a run recorded, as a subfolder of the existing folder ``workplace``.
 
-    The commits are searched first in the git clones ``repositories``, then in the recorded folders and the current
-    checkout. RunDirectoryError means that the source of this package was not recorded, that no repository has the
-    source's commit, or that the source is too old for a replay.
+    Recorded commits are searched in the git clones ``repositories``, in the recorded folders, and in the current
+    checkout. RunDirectoryError means that the package's source was not recorded, was not found, or is too old for a
+    replay.
     """
     source = RestoredSource()
     for number, record in enumerate(source_records(run)):
@@ -99,7 +99,7 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 def _restore(
     run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
-    # Give the restored folder its recorded name, because imports can depend on the name of a folder.
+    # Give the restored source folder its recorded name, because imports can depend on the name.
     name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
     destination = work / "source" / str(number) / name
     with for_people(destination.parent):
@@ -125,7 +125,7 @@ def _restore(
                 "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
             )
         source.places[PACKAGE] = folders.pop(0)
-    # Add a note about the files that the run did not record with its source.
+    # Add a note about source files that the run did not record.
     for entry in record["refused"]:
         now = "is as committed" if os.path.lexists(destination / entry["path"]) else "is missing"
         source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
@@ -162,7 +162,7 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use the current content of a folder whose content the run did not save, and add a note about differences."""
+    """Use the current content of a source folder that the run did not save, and add a note about differences."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
     unchanged = digest is not None and root.exists() and content_digest(root) == digest

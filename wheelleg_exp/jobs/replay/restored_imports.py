@@ -1,8 +1,8 @@
-"""Start a training in a process that imports packages from restored source trees.
+"""Start a training in a process that imports packages from restored source folders.
 
-This file runs as a script, before any module of this package is imported. Its last argument is JSON: the folder of each
-top-level package or module. If the restored source lacks a module of this package, the module is not searched on
-``sys.path``, which may contain another version of this package.
+The file ``restored_imports.py`` runs as a script, before any module of ``wheelleg_exp`` is imported. Its last argument
+is JSON: the folder of each top-level package or module. A module that the restored source lacks is not searched on
+``sys.path``, which may contain a different version.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from pathlib import Path
 from types import ModuleType
 
 _OWN = "wheelleg_exp"
-# The module that trains from a snapshot has these paths in this version and in older versions of this package.
+# The paths of the module that trains from a snapshot, in this version and in older versions of this package.
 ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 
 class RestoredFinder:
-    """Finds the modules of restored packages in their restored folders."""
+    """Finds the modules of restored packages in the folders of these packages."""
 
     def __init__(self, places: dict[str, str]) -> None:
         self._places = places
@@ -29,7 +29,7 @@ class RestoredFinder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a restored module; raise ModuleNotFoundError if the restored source lacks the module."""
+        """Return the import spec of a module; raise ModuleNotFoundError if the restored source lacks this module."""
         top = fullname.partition(".")[0]
         if top not in self._places:
             return None
@@ -40,7 +40,7 @@ class RestoredFinder:
 
 
 def main() -> int:
-    """Install the import finder of the restored packages, and run the training."""
+    """Let Python find the restored packages, and run the training."""
     places = json.loads(sys.argv.pop())
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN

@@ -1,8 +1,8 @@
-"""Train again from the snapshot of a run, in a child process that imports the restored source of the run.
+"""Train a run again from its snapshot, in a child process that imports the run's restored source code.
 
-The parent process may run another version of this package. So the protocol between parent and child (see
-``child_process``) is small and has a version number. The child process sends the events ``began``, ``note``,
-``composed``, ``asset``, ``run``, ``iteration`` and ``ended``.
+The parent process and the child process may run different versions of ``wheelleg_exp``. The protocol between parent and
+child process (see ``child_process``) is small and has a version number. The child sends the events ``began``, ``note``,
+``composed``, ``asset``, ``run``, ``iteration`` and ``ended`` to the parent.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ PROTOCOL = 1
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the parent process to train a replay."""
+    """The parent process's request to train a run again from its snapshot."""
 
     protocol: int
     run: str  # the run directory that contains the snapshot
     until: int  # the number of iterations that the replay trains
     root: str  # the root folder of the new run
     name: str  # the name of the new run
-    workplace: str  # a temporary folder, which the parent process removes after the training
+    workplace: str  # a temporary folder that the parent process removes after the training
     config_dirs: list[str]
     projects: list[str]
     source_roots: list[str]
-    moved: dict[str, str]  # maps each recorded folder to its restored folder
+    moved: dict[str, str]  # maps each recorded source folder to its restored folder
     command: list[str]
-    facts: dict[str, Any]  # facts that are added to the manifest of the new run
+    facts: dict[str, Any]  # facts for the manifest of the new run
 
     def line(self) -> bytes:
-        """Return the request as one line of JSON."""
+        """Return the request for a replay as one line of JSON."""
         return json.dumps(asdict(self)).encode() + b"\n"
 
     @classmethod
     def read(cls, line: bytes) -> Request:
-        """Parse a request from one line of JSON; ignore keys that this version of the package does not know."""
+        """Parse a request from one line of JSON; ignore the keys that this version of the package does not know."""
         found = json.loads(line)
         if found.get("protocol") != PROTOCOL:
             raise WheellegError(
@@ -62,7 +62,7 @@ class Request:
 
 
 class ReplayDisplay(PipeDisplay):
-    """Sends the training's events to the parent process, and stops the training after the last requested iteration."""
+    """Sends the events of a training to the parent process, and stops the training after the requested iterations."""
 
     def __init__(self, pipe: EventPipe, stop: StopRequest) -> None:
         super().__init__(pipe)
@@ -72,12 +72,12 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send an event to the parent process, and store the event's facts for the manifest."""
+        """Send an event to the parent process, and store the facts in the event for the manifest of the new run."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 
     def note(self, text: str) -> None:
-        """Send a note to the parent process, unless the note is about the working tree, which a replay ignores."""
+        """Send a note to the parent process, except for notes about the git working tree, which a replay ignores."""
         if not self.warnings_only or text.startswith("warning"):
             super().note(text)
 
@@ -90,7 +90,7 @@ class ReplayDisplay(PipeDisplay):
 
 
 def main() -> int:
-    """Read a request from standard input, train the replay, and return the exit status."""
+    """Read a request from standard input, train the requested replay, and return the exit status."""
     return serve_job(_train)
 
 
@@ -120,7 +120,7 @@ def _train(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Return the snapshot's config with the folder of the new run, without films, and without W&B logging."""
+    """Return the config of the snapshot with the folder of the new run, without films and without W&B logging."""
     from wheelleg_exp.run.run_config import load_params, recorded_config
 
     env, agent = load_params(run)
@@ -128,7 +128,7 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
     config["recording"] = {**config["recording"], "video_every": 0}
     agent["logger"] = agent.get("logger") and "tensorboard"
-    # A resume may have trained more iterations than the config requests.
+    # A resume may have trained more iterations than the run's config requests.
     agent["max_iterations"] = max(int(agent["max_iterations"]), request.until)
     return config
 
@@ -152,7 +152,7 @@ def _prepare(run: RunDirectory, config: dict[str, Any], request: Request, displa
 
 
 def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
-    """Convert the robot again from its restored source files, or copy the converted robot that the run saved."""
+    """Convert the robot again from its restored source files; if impossible, copy the robot that the run saved."""
     from wheelleg_exp.jobs.saved_robot import copy_saved_robot, saved_mjcf
 
     workplace = Path(request.workplace)
@@ -169,7 +169,7 @@ def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, displ
 def _converted_again(
     run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
-    """Return the robot's new conversion, or None with the reason why the conversion failed."""
+    """Return the newly converted robot, or None with the reason why the conversion failed."""
     from wheelleg_exp.asset.conversion_cache import convert_cached, find_beside, source_digest
     from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
     from wheelleg_exp.paths import find_asset
@@ -187,7 +187,7 @@ def _converted_again(
 
 
 def _moved(name: str, moved: Mapping[str, str]) -> str:
-    """Return a recorded path as an absolute path; a path in a recorded folder is moved to the restored folder."""
+    """Return a recorded path as an absolute path; a path in a recorded folder becomes a path in its restored folder."""
     for before, after in moved.items():
         if Path(name).is_relative_to(before):
             return str(Path(after) / Path(name).relative_to(before))
@@ -195,7 +195,7 @@ def _moved(name: str, moved: Mapping[str, str]) -> str:
 
 
 def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Compose the recorded overrides with the restored configs, and compare the result with the snapshot."""
+    """Compose a config from the recorded overrides and the restored YAML files, and compare it with the snapshot."""
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.files import read_yaml
     from wheelleg_exp.run.run_config import load_params, recorded_overrides
@@ -216,7 +216,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
 
 
 def _first_difference(recorded: Any, now: Any, path: str) -> str | None:
-    """Return the first difference between two config trees, including the order of keys."""
+    """Return the first difference between two configs, which can be a different order of their keys."""
     if isinstance(recorded, Mapping) and isinstance(now, Mapping):
         for key in [*recorded, *(k for k in now if k not in recorded)]:
             below = f"{path}.{key}" if path else str(key)

@@ -1,8 +1,7 @@
 """Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
 
-A run directory stores a copy of the initial networks next to the robot, so that the run can be reproduced without the
-run that trained these networks. ``fit`` compares the observations, actions, and network sizes of the old and the new
-training.
+A run directory stores a copy of its initial networks, so that the run can be reproduced without the run that trained
+these networks. ``fit`` compares the observations, actions, and network sizes of the earlier and the new training.
 """
 
 from __future__ import annotations
@@ -27,30 +26,30 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import load_params, upgrade_env_params
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_iteration
 
-# These config keys of an observation group decide the layout of the group's vector, in addition to the terms.
+# The config keys of an observation group that, with the group's terms, decide the layout of the group's vector.
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
-# These config keys of an observation term decide the term's function and width.
+# The config keys of an observation term that decide the term's function and width.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
 Tree = Mapping[str, Any]  # a config section, or the content of a checkpoint
-_IGNORED_KEYS = ("noise",)  # A policy still fits if these keys of an observation term change.
+_IGNORED_KEYS = ("noise",)  # The keys of an observation term that can change while a trained policy remains usable.
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The differences between the settings with which a policy was trained and the settings of a new training."""
+    """The differences between the settings of a policy's earlier training and the settings of a new training."""
 
-    mistakes: list[ConfigError]  # the differences that make the policy unusable
-    suspects: list[ConfigError]  # changed joints, bodies, or sensors of a term, which may change the width of the term
-    notes: list[str]  # texts about changed settings that keep the layout of all vectors, and about ``suspects``
+    mistakes: list[ConfigError]  # the differences that make the trained policy unusable
+    suspects: list[ConfigError]  # changed joints, bodies, or sensors of an observation term, which may change its width
+    notes: list[str]  # texts about ``suspects``, and about changes that keep the layout of the observations
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the settings of a policy's earlier training with the settings of a new training.
 
-    ``was`` and ``now`` are pairs of the config sections ``env`` and ``agent``. ``roles`` names the networks to copy,
-    and ``of`` is the name of the policy's run in messages. Only a built network shows whether a changed parameter of a
-    term, such as its joints, changes the term's width. So a changed parameter of a term is reported as a note, not as a
-    mistake.
+    ``was`` and ``now`` are the config sections ``env`` and ``agent`` of the earlier and of the new training. ``roles``
+    names the networks to copy; ``of`` is the name of the earlier run in messages. Only a built environment shows
+    whether a changed parameter, such as a list of joints, changes a term's width. A changed parameter of an observation
+    term is reported as a note, not as a mistake.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -75,7 +74,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
     for change in changes(was or {}, now or {}, same):
-        if change.keys != ("distribution_cfg", "init_std"):  # The learned standard deviation replaces this setting.
+        if change.keys != ("distribution_cfg", "init_std"):  # The learned value is used.
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
@@ -130,7 +129,7 @@ def _shorten(value: Any) -> str:
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# For each value of `init_from_what`, the parts of a checkpoint that a new training copies.
+# The parts of a checkpoint that a new training copies, for each value of `init_from_what`.
 PARTS = {"networks": ("actor", "critic"), "policy": ("actor",), "learning": ("actor", "critic", "optimizer")}
 
 
@@ -148,9 +147,9 @@ class _Source:
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
     """Yield the initial networks' file by its saved name, and facts about its run; empty dicts without ``init_from``.
 
-    The file does not contain the name of the run, so that equal networks of two runs have equal files. ``note``
-    receives texts about the observations that differ from the policy's training. ConfigError means that the checkpoint
-    is missing or damaged, or does not fit the observations, actions, and networks of the config.
+    The file of the initial networks does not name the earlier run, so that equal networks have equal files. ``note``
+    receives texts about observations that differ between the earlier and the new training. ConfigError means that the
+    earlier run's checkpoint is missing or damaged, or does not fit the new training.
     """
     if config.get(KEY) is None:
         yield {}, {}
@@ -158,7 +157,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
     with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        # Create a checkpoint with only the selected parts, and with facts about the origin of these parts.
+        # Create a checkpoint with the selected parts of the earlier checkpoint, and with facts about their origin.
         what = _parts_name(config)
         parts = PARTS[what]
         if "actor" not in config["agent"]:
@@ -169,7 +168,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
             raise ConfigError(message, key=WHAT, expected="policy, which needs only the actor")
         facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
         facts |= {"what": what, "parts": list(parts)}
-        # A checkpoint must contain an actor and a critic, so a critic that is not copied is an empty dictionary.
+        # A checkpoint must contain an actor and a critic, so an empty dictionary replaces a critic that is not copied.
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
@@ -182,7 +181,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
 
 
 def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
-    """Return the initial networks that are saved next to the robot; None without ``init_from``."""
+    """Return the initial networks that the run directory contains; None without ``init_from``."""
     if config.get(KEY) is None:
         return None
     path = asset.output.parent / INITIAL
@@ -212,7 +211,7 @@ def _find(named: str, root: str) -> _Source:
         run = RunDirectory.open(folder, root) if (folder / MANIFEST_NAME).is_file() else None
     else:
         if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
-            # If the checkpoint is missing, this call raises an error that suggests a checkpoint with a similar name.
+            # If the checkpoint is missing, the next call raises an error that suggests a checkpoint of similar name.
             RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))
         run = RunDirectory.open(named, root)
         path = run.latest_checkpoint()
@@ -226,7 +225,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # The networks of a distillation are named student and teacher, and are not compared.
+    if "actor" not in agent:  # The networks of a distillation (student and teacher) are not compared.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
@@ -237,7 +236,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
 
 @contextmanager
 def _at_key(key: str) -> Iterator[None]:
-    """Convert a RunDirectoryError inside the block into a ConfigError about the config key ``key``."""
+    """Convert a RunDirectoryError inside the ``with`` block into a ConfigError about the config key ``key``."""
     try:
         yield
     except RunDirectoryError as error:
@@ -259,6 +258,6 @@ def find_teacher(config: Tree) -> dict[str, Path]:
 
 
 def saved_teacher(asset: CachedConversion) -> dict[str, Any] | None:
-    """Load the teacher's checkpoint that is saved next to a robot; return None without a teacher."""
+    """Load the teacher's checkpoint that the run directory contains; return None if the training has no teacher."""
     path = asset.output.parent / TEACHER
     return checkpoint.load(path) if path.is_file() else None

@@ -1,6 +1,6 @@
-"""Train in the ranks above 0, which write no files. Rank 0 runs ``run_training`` and writes the files.
+"""Train in the processes of the ranks above 0; only rank 0 writes files, with ``run_training``.
 
-All ranks must call the collective operations in the same order, because each operation waits for all ranks.
+All ranks must call the collective operations in the same order, because each operation waits until all ranks call it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from wheelleg_exp.stop_request import StopRequest
 
 
 def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
-    """Prepare a training in a rank above 0; rank 0 runs ``prepare_training.prepare`` and reports errors."""
+    """Prepare a training in a rank above 0; rank 0 calls ``prepare_training.prepare`` and reports the errors."""
     with ranks.agreed():
         recipe = find_inputs(composed, Display())
     with ranks.agreed():
@@ -28,7 +28,7 @@ def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
 
 
 def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
-    """Train in a rank above 0, and send rank 0 the state for its checkpoints; rank 0 runs ``run_training.run``."""
+    """Train in a rank above 0, and send the training state to rank 0, which writes it into checkpoints."""
     total, state, unsaved = int(agent["max_iterations"]), None, False
     ranks = trainer.ranks
     stop.check(ranks.any(stop.requested))

@@ -1,14 +1,14 @@
 """Prepare a training: find every mistake of the input, build environment and networks, and create the run directory.
 
-``prepare`` calls the steps of the preparation in order. Every rank calls the first two steps; only rank 0 calls the
-last step.
+``prepare`` calls the functions that prepare a training, in order. Every rank builds the environment and the networks;
+only rank 0 creates the run directory.
 
 1. ``find_inputs``: check that the config can be recorded, find the networks of other runs, convert the robot.
 2. ``build_trainer``: build the environment, set the threads, build the networks and the trainer.
-3. Exchange facts about the machines of all ranks.
+3. Exchange facts about the machines on which the ranks run.
 4. ``create_run``: create the run directory, and write robot, configs, source snapshot, and manifest into it.
 
-If one of the first three steps fails, no run directory is created.
+If the preparation of a training fails, no run directory is created.
 """
 
 from __future__ import annotations
@@ -52,28 +52,28 @@ class Recipe:
 
     config: dict[str, Any]
     hydra_files: Mapping[str, str]
-    source_roots: Sequence[Path]  # the source folders to record, this package's folder first
+    source_roots: Sequence[Path]  # the source folders to record; the folder of this package comes first
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None  # in a resume, the recorded choice of ``agent.matmul: auto``; None chooses by this CPU
+    matmul: str | None = None  # the recorded choice of ``agent.matmul: auto`` for a resume; None chooses by this CPU
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training whose environment, networks, and run directory are ready."""
+    """A prepared training, with its environment, networks, and run directory."""
 
     recipe: Recipe
     trainer: Trainer
     directory: RunDirectory
     manifest: Manifest
     lock: RunLock  # acquired in a resume
-    earlier: Sequence[Mapping[str, Any]] = ()  # in a resume, the log lines of the finished iterations
+    earlier: Sequence[Mapping[str, Any]] = ()  # the log lines of the iterations that finished before the resume
     recomputed: Callable[[int, Mapping[str, str]], None] = lambda _iteration, _digests: None
 
 
 def prepare(composed: Composed, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
-    """Prepare a training in rank 0. If the input is wrong, raise WheellegError and create no run directory."""
+    """Prepare a training in rank 0. If a setting is wrong, raise WheellegError and create no run directory."""
     with composed.placing():
         with ranks.agreed():
             recipe = find_inputs(composed, display)
@@ -101,7 +101,7 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
 
 
 def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]]:
-    """Build environment and networks; return the trainer, and the facts about threads for the manifest."""
+    """Build the environment and the networks; return the trainer, and facts about threads for the run's manifest."""
     config = ranks.config(recipe.config)
     agent = config["agent"]
     if recipe.matmul is not None and agent.get("matmul") == "auto":
@@ -126,7 +126,7 @@ def create_run(
     command: Sequence[str],
     display: Display,
 ) -> tuple[RunDirectory, Manifest]:
-    """Create the run directory and its snapshot; return the run directory and its manifest."""
+    """Create the run directory with a snapshot of config and source code; return the run directory and its manifest."""
     config, env = recipe.config, trainer.env.env
     run = config["run"]
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
@@ -154,7 +154,7 @@ def create_run(
             display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")
         sync_folder(directory.path)
     except BaseException:
-        if not (directory.path / MANIFEST_NAME).exists():  # A folder without a manifest is not recognised as a run.
+        if not (directory.path / MANIFEST_NAME).exists():  # A folder without a manifest is not used as a run.
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
     return directory, manifest

@@ -33,7 +33,7 @@ from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import RESERVED
 from wheelleg_exp.verify.run_differences import decides
 
-# A resume cannot change these settings, on which the saved state depends; each value is the reason.
+# The settings on which the saved training state depends, so that a resume cannot change them, with the reasons.
 _FIXED: dict[Keys, str] = {
     ("seed",): "the random streams continue from their saved state",
     ("task",): "the run belongs to its task",
@@ -56,14 +56,14 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
-_CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can change these settings despite _FIXED.
-_NEW_KEYS = ("init_from", "init_from_what")  # Configs of older runs lack these keys.
-# These keys of an observation term or group change neither the width nor the meaning of the observation vector.
+_CHANGEABLE = (("env", "sim", "graph_step"),)  # the settings that a resume can change despite _FIXED
+_NEW_KEYS = ("init_from", "init_from_what")  # The keys that the configs of older runs lack.
+# The keys of an observation term or group that change neither the width nor the meaning of the observation vector.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 
 def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return a run's composed config tree from its snapshot."""
+    """Return the composed config of a run from the run's snapshot."""
     env, agent = load_params(run)
     tree = recorded_config(run, variables or {})
     for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
@@ -75,7 +75,7 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
 
 
 def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Apply overrides to a recorded config; return the new config and the changes, or raise an error for fixed keys."""
+    """Apply a resume's overrides to a recorded config; return the new config and its changes; fixed keys are errors."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
     found = list(changes(recorded, tree, _same_value))
@@ -93,7 +93,7 @@ def _same_value(was: Any, now: Any) -> bool:
 
 
 def change_entry(change: Change) -> dict[str, Any]:
-    """Return the manifest's entry of a config change; in the entry, None stands for an absent key."""
+    """Return the manifest's entry for a config change, in which None stands for the value of a missing key."""
     was, now = (None if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "was": was, "now": now}
 
@@ -141,7 +141,7 @@ def rewritten_files(
 
 
 def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
-    """Write a changed value into the unresolved config, and replace an interpolation above the key by its values."""
+    """Write a changed value into the unresolved config; replace an interpolation of a parent key by its values."""
     node: Any = config
     for key in change.keys[:-1]:
         tree = tree.get(key) or {}
@@ -157,13 +157,13 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
 
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of a run and its resume; for an equal key, only the override of the resume is returned."""
+    """Return the overrides of a run and its resume; if both set a key, return only the override of the resume."""
     return list({**{_key(word): word for word in words}, **{_key(word): word for word in overrides}}.values())
 
 
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # An override that Hydra cannot parse serves as its own key.
+    except (HydraException, RecursionError):  # An override that Hydra cannot parse is itself used as the key.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

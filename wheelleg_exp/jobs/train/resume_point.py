@@ -1,6 +1,6 @@
-"""Find the last complete checkpoint of a run, and remove data of later iterations from the run's files.
+"""Find the last complete checkpoint of a run, and remove the data of later iterations from the run's files.
 
-The digests of a checkpoint must equal the digests in the run's iteration log.
+A checkpoint is complete if its digests (hashes) equal the digests in the run's iteration log.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ _CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
 class ResumePoint:
     """The point from which a run resumes: the end of the last iteration that has a complete checkpoint."""
 
-    iteration: int  # the first iteration that the resume computes
-    checkpoint: Path | None  # the checkpoint after the previous iteration; None if the run restarts at iteration 0
+    iteration: int  # the first training iteration that the resume computes
+    checkpoint: Path | None  # the checkpoint from which the run resumes; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
-    lines: Sequence[Line]  # all complete lines of the run's iteration log
-    damaged: Mapping[Path, str]  # newer checkpoints that cannot be used, each with the reason
+    lines: Sequence[Line]  # the complete lines in the run's iteration log
+    damaged: Mapping[Path, str]  # checkpoints after ``start`` that cannot be used, each with the reason
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
-        """The log lines of the iterations up to the checkpoint."""
+        """The lines in the run's iteration log up to the checkpoint."""
         return [line.content for line in self.lines[: self.iteration]]
 
     @property
     def dropped(self) -> dict[int, Mapping[str, str]]:
-        """The digests of the iterations after the checkpoint, which the resume computes a second time."""
+        """The digests (hashes) of the iterations after the checkpoint, which the resume computes a second time."""
         later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
@@ -52,15 +52,15 @@ class ResumePoint:
 def find_point(run: RunDirectory) -> ResumePoint:
     """Find the last complete checkpoint of a run.
 
-    RunDirectoryError means that the log ends before the checkpoint, that the log's digests differ from the
-    checkpoint's, or that this version cannot resume the checkpoint.
+    RunDirectoryError means that the run's iteration log does not match the checkpoint, or that this version cannot
+    resume the run.
     """
     lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
     foreign: RunDirectoryError | None = None
     for path in reversed(run.checkpoints()):
         try:
-            state = checkpoint.load(path, finite=False)  # The training itself detects NaN and inf.
+            state = checkpoint.load(path, finite=False)  # The resumed training itself detects NaN and inf.
             if state["iter"] != checkpoint_iteration(path):
                 raise RunDirectoryError(
                     f"the checkpoint's iteration {state['iter']} differs from its name", key=str(path)
@@ -87,19 +87,19 @@ def find_point(run: RunDirectory) -> ResumePoint:
         why = f"no checkpoint belongs to the training in {run.iterations.name}: {damaged[path]}"
         own = "the run's own checkpoints and log"
         foreign = foreign or RunDirectoryError(why, key=str(path), expected=own)
-    if foreign is not None:  # A restart at iteration 0 would discard the finished training.
+    if foreign is not None:  # A restart at iteration 0 would discard the finished training iterations.
         raise foreign
     return ResumePoint(0, None, None, lines, damaged)
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return texts about damaged files that a resume continues; files that a resume rewrites are left out."""
+    """Return texts about damaged files of the run, except for files that a resume writes again."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
 
 def _lasts(name: str, start: int) -> bool:
-    """Return whether a resume from the iteration ``start`` keeps a file, or at least the beginning of the file."""
+    """Return whether a resume from the iteration ``start`` keeps a file, at least in part."""
     checkpoint = CHECKPOINT.fullmatch(name)
     if checkpoint is not None:
         return int(checkpoint[1]) < start
@@ -118,9 +118,9 @@ _DAMAGED = ".damaged"
 
 
 def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
-    """Remove data that was written after the checkpoint, and unfinished data of a killed process, from the run's files.
+    """Remove all data after the checkpoint, and unfinished data of a killed process, from the run's files.
 
-    If ``events`` is false, the event files of TensorBoard are not changed.
+    If ``events`` is false, TensorBoard's event files remain unchanged.
     """
     for path in point.damaged:
         with for_people(path):
@@ -131,13 +131,13 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        # Remove the exported policy, which will change. Keep bundles, because each bundle names its checkpoint.
+        # Remove the exported policy, which the resume changes, but keep bundles, which name their checkpoints.
         for path in run.exported.iterdir() if run.exported.is_dir() else ():
             if path.is_file():
                 path.unlink()
-            elif path in temporaries(run.exported):  # A killed export left this temporary folder behind.
+            elif path in temporaries(run.exported):  # A killed export has left this temporary folder behind.
                 shutil.rmtree(path)
-        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest still describes the failure.
+        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest describes the failure of the run.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)

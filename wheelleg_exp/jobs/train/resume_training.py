@@ -1,7 +1,7 @@
-"""Resume a run that was stopped or killed, or that needs more iterations. A resumed run equals an uninterrupted run.
+"""Resume a stopped, killed, or extended training run; the resumed run is bitwise equal to an uninterrupted run.
 
-All ranks of a run must resume together. Rank 0 reads the run directory, and broadcasts the run's state to the remaining
-ranks.
+All ranks (processes) of a run must resume together. Rank 0 reads the run directory, and sends the state of the run to
+all ranks.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from wheelleg_exp.verify.run_differences import decides
 
 
 def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
-    """Return the inputs of a resumed training, with the robot that is saved in the run directory."""
+    """Return the inputs of a resumed training, with the robot that the run directory contains."""
     matmul = (run.manifest().data.get("threads") or {}).get("matmul")
     return Recipe(tree, {"config.yaml": text}, (), load_saved_robot(run), folders, matmul=matmul)
 
 
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
-    """Load a checkpoint's state into a training; return texts about differences from the checkpoint's state.
+    """Load the state of a checkpoint into a training; return texts about state that could not be restored exactly.
 
-    Each rank loads its part of the checkpoint's state. If ``learning_rate`` is not None, it replaces the learning rate
-    of the checkpoint.
+    Each rank (process) loads its own part of the checkpoint's state. ``learning_rate``, unless None, replaces the
+    learning rate of the checkpoint.
     """
     own = state_of_rank(state, trainer.ranks.rank)
     trainer.load_state_dict(own)
@@ -60,13 +60,13 @@ def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float 
 
 
 def learning_rate_of(changes: Sequence[Change]) -> float | None:
-    """Return the learning rate that the overrides of a resume set, or None."""
+    """Return the learning rate that the overrides of a resume set; None if no override sets a learning rate."""
     found = [change.b for change in changes if change.keys == ("agent", "algorithm", "learning_rate")]
     return float(found[-1]) if found else None
 
 
 def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
-    """Raise an error if the number of ranks changed, because each rank has its own environments and random streams."""
+    """Raise an error if the number of ranks changed, because each rank has its own environments and random numbers."""
     trained = int((manifest.data.get("ranks") or {}).get("world_size", 1))
     if trained == ranks.size:
         return
@@ -80,9 +80,9 @@ def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
 
 
 def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str, Any]]:
-    """Prepare a resume in a rank above 0; return the trainer and the config section ``agent``."""
+    """Prepare the resume of a run in a rank above 0; return the trainer and the config section ``agent``."""
     with ranks.agreed():
-        pass  # Ranks above 0 wait while rank 0 reads the run directory.
+        pass  # The ranks above 0 wait while rank 0 reads the run directory.
     message = ranks.said_by_first(None)
     run = RunDirectory(Path(message["run"]))
     with ranks.agreed():
@@ -109,11 +109,11 @@ def prepare_resume(
     config_dirs: Sequence[Path] = (),
     ranks: Ranks = ALONE,
 ) -> Training:
-    """Restore a run to its last complete checkpoint for ``run_training.run``, which later releases the run's lock.
+    """Lock a run and restore its last complete checkpoint; ``run_training.run`` continues and then unlocks the run.
 
-    ``overrides`` change settings for the iterations after the checkpoint. If ``config_dirs`` is empty, the recorded
-    config folders are used. WheellegError means that another process writes the run, that the run is damaged or
-    finished, or that an override is wrong. An error leaves all files of the run unchanged.
+    ``overrides`` change settings of the iterations after the checkpoint. If ``config_dirs`` is empty, the config
+    folders in the run's manifest are used. WheellegError means that the run is locked, damaged, or finished, or that an
+    override is wrong. If the resume fails with an error, all files of the run remain unchanged.
     """
     lock = RunLock(run)
     try:
@@ -132,7 +132,7 @@ def _prepare(
     lock: RunLock,
     ranks: Ranks,
 ) -> Training:
-    # 1. Check the run and apply the overrides.
+    # 1. Check the run, and apply the overrides of the resume.
     with ranks.agreed():
         lock.acquire()
         manifest = run.manifest()
@@ -150,7 +150,7 @@ def _prepare(
         _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
         texts = rewritten_files(run, tree, changes, overrides)
         recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
-    # 2. Build environment and networks in every rank.
+    # 2. Build the environment and the networks in every rank.
     if ranks.together:
         ranks.said_by_first(
             {
@@ -163,9 +163,9 @@ def _prepare(
         )
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    if not manifest.data["source"]:  # The run was killed while its source was being recorded.
+    if not manifest.data["source"]:  # The run was killed while its source code was recorded.
         complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
-    # 3. Load the checkpoint, and collect reasons why the resume is inexact.
+    # 3. Load the checkpoint, and collect the reasons why the resumed run may be inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
     why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]
@@ -174,7 +174,7 @@ def _prepare(
     why += [d.note or f"{d.section} {d.name} was {shorten(d.a)} and is {shorten(d.b)}" for d in differences]
     if not (engine := trainer.env.env.scene.sim.promise())["exact"]:
         why.append(f"the engine {engine['name']} on {engine['device']} does not repeat to the bit: {engine['because']}")
-    # 4. Record the resume, and remove data after the checkpoint from the run's files.
+    # 4. Record the resume in the manifest, and remove data after the checkpoint from the run's files.
     exact = not why
     notes = [f"{path.name} cannot be used: {reason}" for path, reason in point.damaged.items()]
     manifest.restart(
@@ -198,7 +198,7 @@ def _prepare(
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Raise an error if the run's process is alive; this check is needed on file systems without locks."""
+    """Raise an error if the run's process is alive, because a file system may not support locks."""
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return
@@ -245,7 +245,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add a text about unused config folders of the manifest to errors about unknown targets."""
+    """Add a hint about unused config folders in the run's manifest to errors about unknown targets."""
     try:
         yield
     except ConfigError as error:
@@ -260,7 +260,7 @@ def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
 
 
 def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequence[Change]) -> list[str]:
-    """Load the checkpoint; return the reasons why the resumed run may differ from an uninterrupted run."""
+    """Load the run's checkpoint; return the reasons why the resumed run may differ from an uninterrupted run."""
     deciding = [change_entry(change) for change in changes if decides(change.keys)]
     if trainer.env.env.scene.model_digest() != saved_model_digest(run):
         message = "the robot compiles to another model than the run's, which does not fit its state"
@@ -274,14 +274,14 @@ def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequ
 
 
 class RecomputedCheck:
-    """Compares the iterations that a resume computes a second time with the digests of their first computation."""
+    """Compares iterations that a resume computes again with the digests (hashes) of their first computation."""
 
     def __init__(self, expected: Mapping[int, Mapping[str, str]], manifest: Manifest, display: Display) -> None:
         self._expected, self._manifest, self._display = dict(expected), manifest, display
         self._range = [min(expected, default=0), max(expected, default=-1)]
 
     def __call__(self, iteration: int, found: Mapping[str, str]) -> None:
-        """Compare the digests of a new iteration with its logged digests, and record the first difference."""
+        """Compare the digests (hashes) of an iteration with its logged digests, and record the first difference."""
         expected = self._expected.pop(iteration, None)
         if expected is None:
             return

@@ -33,10 +33,10 @@ class StuckCurricula:
         self.now: list[str] = []
 
     def take(self, index: int, scalars: Mapping[str, float]) -> Iterator[str]:
-        """Yield a warning for each curriculum that was not stuck before this iteration, and is stuck now."""
+        """Yield a warning for each curriculum that became stuck in this training iteration."""
         keys = [key for key in scalars if key.startswith(_CURRICULUM) and key.endswith(_STUCK)]
         marks = {key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): scalars[key] for key in keys}
-        if not marks:  # An iteration without an ended episode logs no scalars of curricula.
+        if not marks:  # A training iteration in which no episode ended logs no scalars of curricula.
             return
         before, self.now = self.now, [name for name, value in marks.items() if value > 0.0]
         for name in self.now:
@@ -48,11 +48,11 @@ class StuckCurricula:
 
 @while_running()
 def run(training: Training, display: Display, stop: StopRequest) -> dict[str, Any]:
-    """Train until the last iteration or a stop request, and return the results for the manifest.
+    """Train until the last iteration or a stop request, and return the training's results for the run's manifest.
 
-    A stop request raises KeyboardInterrupt after the checkpoint of the last finished iteration was written.
-    SimulationFailure means that a number was not finite, that the disk failed, or that the run directory was removed.
-    After a NaN or inf, the run directory contains the evidence and a checkpoint of the last finished iteration.
+    After a stop request, write the checkpoint of the last finished iteration, and raise KeyboardInterrupt.
+    SimulationFailure means that a training number was NaN or inf, that the disk failed, or that the run was removed.
+    After a NaN or inf, the run directory contains the bad state and a checkpoint of the last finished iteration.
     """
     trainer, directory = training.trainer, training.directory
     agent = training.recipe.config["agent"]
@@ -87,14 +87,14 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
 
 def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
     """Yield the training iterations, and count the episodes that ended because of a NaN or inf."""
-    # If an iteration fails, save the evidence and the checkpoint of the previous iteration.
+    # If an iteration fails, save the failed state and the checkpoint of the last finished iteration.
     trainer, failed = training.trainer, Counter[str]()
     for line in training.earlier:
         failed.update(logged(line["scalars"]))
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            if failed or "non_finite" in training.manifest.results:  # An earlier part of the run may have NaNs.
+            if failed or "non_finite" in training.manifest.results:  # A NaN may come from before a resume.
                 results["non_finite"] = dict(failed)
             yield iteration
     except SimulationFailure as error:
@@ -107,7 +107,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the run's files; after closing, record how episodes ended, and warn about unfinished files."""
+    """Open the output files of a run; after closing, record how episodes ended, and warn about unfinished files."""
     config, directory = training.recipe.config, training.directory
     documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
     options, logger = RecordingOptions(**config["recording"]), config["agent"].get("logger")
@@ -122,7 +122,7 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
                 first = error
                 raise
     except BaseException as error:
-        first = first or error  # An error while closing files usually follows from the first error.
+        first = first or error  # The first error usually caused ``error``.
         try:
             _record_end(training, outputs, display)
         except Exception as second:
@@ -142,13 +142,13 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     if unfinished:
         text = f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
         display.note(text + "'wheelleg inspect RUN --repair' writes a copy with one")
-    # The manifest may still mention an unfinished recording, which was finished after a resume.
+    # The manifest may mention a recording as unfinished that was finished after a resume.
     if unfinished or "recording_unfinished" in training.manifest.data:
         training.manifest.record(recording_unfinished=unfinished)
 
 
 def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of the iterations that the run finished before the current resume."""
+    """Return the results of those training iterations that the run finished before the current resume."""
     if not earlier:
         return {}
     done = len(earlier)
@@ -161,7 +161,7 @@ def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, An
     try:
         with trainer.played() as policy:
             files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
-    except Exception as error:  # torch's exporter raises many types of errors, with messages of many lines.
+    except Exception as error:  # torch's ONNX exporter raises many types of errors, with messages of many lines.
         message = f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}"
         expected = "MLPModel, or a network that needs nothing but the observations; the checkpoints are whole"
         raise SimulationFailure(message, key="agent.actor.class_name", expected=expected) from error

@@ -1,10 +1,10 @@
-"""Log scalars to TensorBoard's event files and to Weights & Biases.
+"""Log the scalars of a training to TensorBoard's event files and to Weights & Biases.
 
 An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content. The
-content is an ``Event`` message: first the file's version, then scalars by step. A resume cuts event files after the
-checkpoint, so that the event files contain each iteration once. Weights & Biases receives only the name, the composed
-config, and the scalars of a run. rsl_rl's own writer is not used: it also sends the local path and a git diff, takes
-the account from ``WANDB_USERNAME`` for a team, and uploads every film.
+content is an ``Event`` message: first the file's version, then scalars by step. A resume removes scalars after the
+checkpoint from TensorBoard's event files, which then contain each iteration once. Weights & Biases receives only the
+name, the composed config, and the scalars of a run. rsl_rl's own writer is not used: it also sends the local path and a
+git diff, takes the account from ``WANDB_USERNAME`` for a team, and uploads every film.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ def event_files(folder: Path) -> list[Path]:
 
 
 def open_events(folder: Path) -> SummaryWriter:
-    """Return the writer of a new event file that TensorBoard reads after the existing event files."""
-    # TensorBoard reads event files in the order of their names, which start with the second of their creation.
-    # So two event files must not be created in the same second.
+    """Return the writer of a new event file, which TensorBoard reads after all existing event files."""
+    # TensorBoard reads event files in the order of their names, which start with the creation time in whole seconds.
+    # Two event files must not be created in the same second, so that their names give their order.
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
         time.sleep(1.0)
@@ -47,11 +47,11 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Cut the event files so that they contain exactly the scalars of ``lines``."""
-    # If the event files lack scalars, for example after a loss of data, write all event files from scratch.
+    """Cut TensorBoard's event files so that they contain exactly the scalars of ``lines``."""
+    # If the event files lack scalars, for example after a loss of data, replace all event files.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
-        # Cut the event file before its first record of iteration ``steps``, and add the remaining tags to ``found``.
+        # Cut the event file before its first record of iteration ``steps``; add the tags that remain to ``found``.
         steps = len(lines)
         end, kept = 0, 0
         for event, stop in _events(path):
@@ -78,7 +78,7 @@ def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _events(path: Path) -> Iterator[tuple[Event, int]]:
-    """Yield the complete records of an event file, each with the record's end position."""
+    """Yield the complete records of a TensorBoard event file, each with its end position."""
     data = read_bytes(path)
     start = 0
     while start + _HEADER <= len(data):
@@ -97,7 +97,7 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
 
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"
 _WANDB_PROJECT = "wheelleg_exp"
-# Without these settings, wandb would also send the host, the program, the packages, the console, and the source code.
+# Settings that stop wandb from sending the host, the program, the packages, the console, and the source code.
 _WANDB_SETTINGS: dict[str, Any] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
 _WANDB_SETTINGS |= dict.fromkeys(("silent", "disable_code", "disable_git", "disable_job_creation"), True)
 _WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x_disable_stats"), True)
@@ -111,10 +111,10 @@ def require_wandb(logger: str | None) -> None:
 
 
 class WandbLog:
-    """A context manager that sends scalars to Weights & Biases.
+    """A context manager that sends the scalars of a training to Weights & Biases.
 
-    The environment variables of wandb (``WANDB_MODE``, ...) choose the destination. A resumed run continues under the
-    id of the original run.
+    The environment variables of wandb (``WANDB_MODE``, ...) choose where wandb sends the scalars. In Weights & Biases,
+    a resumed run has the same id as before the resume.
     """
 
     def __init__(self, directory: RunDirectory, config: Mapping[str, Any]) -> None:
@@ -132,7 +132,7 @@ class WandbLog:
                 resume="allow",
                 dir=os.environ.get("WANDB_DIR", str(self._directory.root)),
                 config=dict(self._config),
-                force=True,  # Without ``force``, wandb waits until a user enters an API key.
+                force=True,  # Without ``force``, wandb waits for a user to enter an API key.
                 settings=wandb.Settings(**_WANDB_SETTINGS),
             )
         except wandb.Error as error:
@@ -146,9 +146,9 @@ class WandbLog:
 
     @property
     def place(self) -> str:
-        """The web address of the run's page, or the local folder that ``wandb sync`` uploads later."""
+        """The web address of the run at Weights & Biases, or the local folder that ``wandb sync`` can upload."""
         return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Send the scalars of one iteration to Weights & Biases, which ignores a repeated iteration."""
+        """Send the scalars of one iteration to Weights & Biases, which ignores an iteration that it already has."""
         self._run.log(dict(scalars), step=iteration)

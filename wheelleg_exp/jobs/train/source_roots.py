@@ -1,8 +1,8 @@
-"""Find the source folders of a training, and compare a run with the current source code and machine.
+"""Find the source folders of a training, and compare a run's source code and machine with the current ones.
 
-The source folders are this package, the user's projects and configs, and packages imported from elsewhere. After a
-change of source, versions, hardware, threads, or environment variables, a resumed run may differ from an uninterrupted
-run.
+A training's source folders contain this package, the user's projects and configs, and further imported packages. If
+source code, versions, hardware, threads, or environment variables change, a resumed run may differ from an
+uninterrupted run.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ _CALLS = ("_target_", "class_name")
 def source_roots(composed: Composed) -> list[Path]:
     """Return the folders whose source code a training depends on; the folder of this package comes first.
 
-    The remaining folders are the user's projects (packages, assets, and configs), the other folders of Hydra's search
-    path, and the packages that the config calls. The folder of the robot's file is not included, because a run saves
-    the robot itself and the digests of its source files.
+    The user's projects, the folders of Hydra's search path, and the packages that the config calls follow. The folder
+    of the robot's file is left out, because a run saves the robot.
     """
     folders = _config_folders(composed)
     roots = [configs_dir().parent, *(folder.parent if read_project(folder.parent) else folder for folder in folders)]
@@ -44,8 +43,8 @@ def source_roots(composed: Composed) -> list[Path]:
 
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
-    """Return the imported packages and modules outside of ``roots``, the standard library, and virtual environments."""
-    # Modules from ``PYTHONPATH``, the working directory, or a path file may have affected the training.
+    """Return the imported packages that are not in ``roots``, the standard library, or a virtual environment."""
+    # Modules that were imported through ``PYTHONPATH``, the working directory, or a path file may affect the training.
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):
@@ -67,7 +66,7 @@ def _config_folders(composed: Composed) -> Iterator[Path]:
 
 
 def _packages_called(config: Mapping[str, Any]) -> list[str]:
-    """Return the names of the user's packages whose functions and classes the config names."""
+    """Return the names of those packages of the user whose functions or classes the config names."""
     declared = {*installed_packages(), *joined_packages()}
     called = set(_called_names(config))
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
@@ -85,7 +84,7 @@ def _called_names(node: Any) -> Iterator[str]:
 
 
 def _package_root(name: str) -> Path | None:
-    """Return the folder or file of a top-level package, or of its project, without importing the package."""
+    """Return the folder or file of a top-level package or of the package's project, without importing the package."""
     top = name.replace("/", ".").partition(".")[0]
     if top in (_PACKAGE, "hydra"):
         return None
@@ -106,7 +105,7 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # Do not resolve links first, because the system's module sitecustomize is a link in the standard library.
+    # Do not resolve links in paths, because the system's module sitecustomize is a link in the standard library.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 
@@ -121,15 +120,16 @@ def _unique(paths: Iterable[Path]) -> list[Path]:
 
 
 def shorten(value: Any) -> str:
-    """Return a value as a text of at most 60 characters."""
+    """Return ``value`` as a text of at most 60 characters."""
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
-    """Return the differences in source, versions, hardware, threads, and variables between a run and this process.
+    """Return how this process differs from a run in source, versions, hardware, threads, and environment variables.
 
-    Differences that cannot change the numbers of a training are left out. ``threads`` is the result of ``set_threads``.
+    The function leaves out differences that cannot change the numbers of a training. ``threads`` is the result of
+    ``set_threads``.
     """
     now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
     now["environment_variables"] = environment.variables()
@@ -157,7 +157,7 @@ def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the name and the value of the digest that identifies the files of a recorded source folder."""
+    """Return the name and the value of the digest (hash) that identifies the files of a recorded source folder."""
     if not record:
         return "(not kept)", ""
     key = "tree" if record["tree"] else "content_sha256"
@@ -166,7 +166,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
-    # Further recorded folders are used only if they are trusted, installed, or imported by this process.
+    # A recorded folder is used only if it is trusted, installed, or imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     records = [record for record in _records(load_source(run)) if record["root"] is not None]
     recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]

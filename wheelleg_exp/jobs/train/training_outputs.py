@@ -1,4 +1,4 @@
-"""Write the output files of a running training, such as logs, recordings, films, datasets, and checkpoints."""
+"""Write the output files of a training: logs, recordings, films, datasets, and checkpoints."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 
 
 class Outputs:
-    """The output files of a running training; the files are readable at any moment, and closed on exit.
+    """The output files of a running training, which are readable at any moment and closed on exit.
 
-    A checkpoint is written after the logs of its iterations are on the disk. So the logs contain at least the
-    iterations up to the last checkpoint, even after a power failure. ``diverged_after`` is the first iteration after
-    which the networks of the ranks differed, or None.
+    A checkpoint is written only when the logs of all its iterations are on the disk. Even after a power failure, the
+    logs contain all iterations up to the last checkpoint. ``diverged_after`` is the first iteration after which the
+    networks of two ranks differed; None if none differed.
     """
 
     def __init__(
@@ -78,11 +78,11 @@ class Outputs:
             self._opened.__exit__(*error)
 
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
-        """Write scalars and digests of one iteration, start a motion sample if one is due, and return the digests.
+        """Write the scalars of one training iteration and the digests (hashes) of its state; return the digests.
 
-        ``due`` is true if a regular checkpoint follows this iteration.
+        ``due`` is true if a regular checkpoint is written after the iteration.
         """
-        # If a user has removed the run directory, a checkpoint would create a new directory without any other file.
+        # If a user has removed the run directory, a checkpoint would create a directory with only this checkpoint.
         if not self._directory.iterations.exists():
             message = f"'{self._directory.path}' was removed while it was written"
             raise RunDirectoryError(message, expected="a folder that exists until the end")
@@ -109,7 +109,7 @@ class Outputs:
         return found
 
     def checkpoint(self, iteration: int) -> str:
-        """Write the checkpoint ``model_<iteration>.pt`` of the latest iteration, and return the file's name."""
+        """Write the checkpoint ``model_<iteration>.pt`` of the last iteration, and return the checkpoint's name."""
         if self.recording is not None:
             self.recording.flush()
         for path in (self._directory.iterations, self._directory.recording, *event_files(self._directory.path)):
@@ -119,7 +119,7 @@ class Outputs:
         return name
 
     def last_checkpoint(self) -> str | None:
-        """Write the last iteration's checkpoint if the file is missing; return its name, or None before iteration 0."""
+        """Write the checkpoint of the last iteration unless it exists; return its name, or None before iteration 0."""
         if self._last is None:
             return None
         name = f"model_{self._last}.pt"
@@ -132,15 +132,15 @@ def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
 
 
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
-    """Return the part of an iteration's state whose digests are logged."""
-    # Digest the whole state if a checkpoint is due or if the physics engine is bitwise reproducible.
-    # Otherwise digest only the networks, because no later run can reproduce the remaining state.
-    # Hashing the whole state also takes longer than an iteration on a GPU.
+    """Return the part of the training state whose digests (hashes) are logged."""
+    # Hash the whole training state if a checkpoint is due or if the physics engine is bitwise reproducible.
+    # If the physics engine is not reproducible, hash only the networks, because no run can reproduce the whole state.
+    # On a GPU, hashing the whole state takes longer than a training iteration.
     return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
 
 def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the scalars at the end of a training that the manifest records."""
+    """Return those scalars at the end of a training that the run's manifest records."""
     keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
     chosen = {key: scalars[key] for key in keys if key in scalars}
     return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}

@@ -21,16 +21,17 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.state.tensor_trees import host_copy
 
 _FILM_SIZE_PX = (640, 360)
-_MAX_FPS = 30.0  # The frame rate of a film can be lower, because each picture shows one control step.
+_MAX_FPS = 30.0  # The frame rate of a film can be below this rate, because each picture shows one control step.
 _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 
 
 class Films:
-    """A context manager that films the first recorded environment, without any effect on the training.
+    """A context manager that films the first of the recorded environments, without any effect on the training.
 
-    A film starts with every ``video_every``-th iteration. A film ends with the iteration in which the film reaches
-    ``steps`` control steps, and at the latest before the next film. Robot positions are stored in memory, and rendered
-    between two iterations. A rendering error stops the films, but not the training. Then ``ended`` is the reason.
+    A film starts with every ``video_every``-th training iteration. A film ends with the iteration in which it reaches
+    ``steps`` control steps, at the latest when the next film starts. Robot positions are kept in memory, and drawn as
+    pictures between two iterations. A rendering error ends the films, but not the training. Then ``ended`` is the
+    reason.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:
@@ -51,7 +52,7 @@ class Films:
         self._finish()
 
     def write(self, iteration: int) -> None:
-        """Render the film if ``iteration`` was the film's last iteration, and start the next film if it is due."""
+        """Render the current film if ``iteration`` was its last; start a new film if the schedule requires it."""
         if len(self._positions) >= self._steps or (iteration + 1) % self._every == 0:
             self._finish()
         self._begin(iteration + 1)
@@ -69,7 +70,7 @@ class Films:
         self._positions, self._start = [], None
         if start is None or not shown:
             return
-        from av.error import FFmpegError  # Import the video encoder late, because its import is slow.
+        from av.error import FFmpegError  # Import the video encoder only when needed, because its import is slow.
 
         pictures = _pictures(self._env)
         try:
@@ -82,7 +83,7 @@ class Films:
 
 
 def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
-    """Render one picture if films are requested, so that a machine without graphics fails before the training."""
+    """If films are requested, render one picture, so that a machine without graphics fails before the training."""
     if not options.video_every:
         return
     pictures = _pictures(env)
@@ -96,7 +97,7 @@ def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
 
 
 def films_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the files of the films that start with ``iteration`` or a later iteration."""
+    """Return the files of all films that start with ``iteration`` or a later iteration."""
     found = ((path, _FILM_NAME.fullmatch(path.name)) for path in folder.glob("*.mp4"))
     return [path for path, match in found if match and int(match[1]) >= iteration]
 
@@ -108,15 +109,14 @@ def _pictures(env: ManagerBasedRLEnv) -> LivePictures:
 class TrainingRecording(ObservingRecording):
     """Records a training while entered.
 
-    ``write`` writes every iteration to the recording file. If a rollout has less than 16 steps, its last frames can be
-    written with the next iteration. A motion sample (recorded episodes) is due at every ``interval``-th iteration,
-    unless the longest possible sample would exceed the file's size limit. In each environment, a motion sample starts
-    with the next episode, and ends with the episode in which the sample reaches ``steps`` frames. Whether a motion
-    sample is due depends only on options and recorded frames, so that a resumed recording equals an uninterrupted
-    recording.
+    ``write`` writes the data of each training iteration to the recording file. If a rollout has less than 16 steps, its
+    last frames can be written with the following iteration. A motion sample (recorded episodes) starts at every
+    ``interval``-th iteration, unless the file could become too large. In each environment, a motion sample (recorded
+    episodes) starts with a new episode, and ends with the episode in which the sample reaches ``steps`` frames. A
+    resume records the same motion samples, because their starts depend only on options and recorded frames.
 
     A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
-    dropped, and an unfinished sample continues. ``note`` contains the warnings about the recording, or is None.
+    dropped, and an unfinished sample continues. ``note`` is a text with warnings about the recording, or None.
     """
 
     def __init__(
@@ -137,12 +137,12 @@ class TrainingRecording(ObservingRecording):
         super().__init__(env, recorder, live=options.live)
         self._options, self._first = options, start_iteration
         for name, text in {**run_documents(directory), **documents}.items():
-            # A resume does not replace the manifest that the recording contains.
+            # A resume does not replace the run's manifest inside the recording.
             if name != "manifest" or not self._recorder.has_document(name):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        # In the longest motion sample, the last episode starts just before frame ``options.steps``.
+        # In the longest possible motion sample, the last episode starts just before frame ``options.steps``.
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
@@ -154,7 +154,7 @@ class TrainingRecording(ObservingRecording):
             self._tell_bound(0)
 
     def _warning(self) -> str | None:
-        """Return a warning if the file's size limit is too small for a single motion sample, else None."""
+        """Return a warning if one motion sample (recorded episodes) can exceed the file's size limit, else None."""
         if self._longest <= self._room:
             return None
         return (
@@ -165,11 +165,11 @@ class TrainingRecording(ObservingRecording):
 
     @property
     def unfinished(self) -> str | None:
-        """The reason why closing did not finish the recording file; None if the file is finished or still open."""
+        """The reason why closing did not finish the recording file; None if the file is finished or open."""
         return self._recorder.unfinished
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Write the scalars of one iteration, and start the next motion sample if one is due."""
+        """Write the scalars of one training iteration; if the schedule requires it, start to record episodes."""
         self._recorder.scalars(scalars, iteration)
         following = iteration + 1
         if following % self._options.interval == 0:
@@ -183,7 +183,7 @@ class TrainingRecording(ObservingRecording):
             self._live.show()
 
     def flush(self) -> None:
-        """Write all pending data to the recording file."""
+        """Write all data that are in memory to the recording file."""
         self._recorder.flush()
 
     def _begin(self, iteration: int) -> None:
@@ -192,7 +192,7 @@ class TrainingRecording(ObservingRecording):
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
 
     def _due(self, iteration: int) -> int:
-        """Return the control step after which the motion sample of the current ``iteration`` can start."""
+        """Return the control step after which a motion sample (recorded episodes) of ``iteration`` can start."""
         now = self._env.common_step_counter
         return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 
@@ -200,7 +200,7 @@ class TrainingRecording(ObservingRecording):
         return self._recorder.frames_until(due) + self._longest <= self._room
 
     def _tell_bound(self, iteration: int) -> None:
-        """Record the first iteration from which no further motion sample fits within the file's size limit."""
+        """Record the iteration from which no further episodes fit into the recording file's size limit."""
         due, interval = self._env.common_step_counter, self._options.interval
         if self._has_room(due):
             return

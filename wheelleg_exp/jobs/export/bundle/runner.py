@@ -5,9 +5,9 @@
     targets = policy.step({"base_ang_vel": ..., "base_quat": ..., "joint_pos": ..., "commands.<name>": ...})
 
 Call ``step`` every ``step_dt`` seconds. ``policy.json`` lists the sensor readings with width and unit (``readings``)
-and the joints in order (``joint_names``). README.md explains the remaining keys. ``python runner.py`` compares computed
-steps with recorded steps of the training's simulation. ``python runner.py --onnx`` checks ``policy.onnx``, with the
-package onnxruntime or onnx.
+and the joints in order (``joint_names``). README.md explains the remaining keys. ``python runner.py`` compares the
+actions of this program with actions recorded in the training's simulation. ``python runner.py --onnx`` checks
+``policy.onnx``, with the package onnxruntime or onnx.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 F = np.float32
-LARGEST = 2.0**64  # A reading above this value is treated as inf; sums of smaller readings cannot overflow.
+LARGEST = 2.0**64  # A sensor reading above this value counts as inf; sums of readings below this value cannot overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
@@ -36,7 +36,7 @@ ACTIVATIONS: dict[str, Callable[..., Any]] = {
 
 
 def array(values: Any, missing: float = 0.0) -> np.ndarray:
-    """Return numbers as a float32 array, with ``missing`` in place of each null of JSON."""
+    """Return numbers from JSON as a float32 array, with the number ``missing`` in place of each null."""
     return np.array([missing if value is None else value for value in values], F)
 
 
@@ -56,12 +56,12 @@ class Term:
         self.length = max(1, spec["history_length"])
 
     def reset(self) -> None:
-        """Clear the term's history and the state of its modifiers, at the start of an episode."""
-        self.history: np.ndarray | None = None  # The first sample after a reset fills the whole history.
+        """Clear the history and the modifier states of the observation term, at the start of an episode."""
+        self.history: np.ndarray | None = None  # The first sample after a reset fills the whole observation history.
         self.memory: dict[int, list[np.ndarray]] = {}
 
     def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the term's value before its modifiers; ``steps`` is the number of control steps since the reset."""
+        """Return the value of an observation term before its modifiers; ``steps`` counts the steps since the reset."""
         spec, kind, time = self.spec, self.spec["function"], F(steps) * F(self.dt)
         if kind == "last_action":
             return action[self.columns]
@@ -88,10 +88,10 @@ class Term:
         return x
 
     def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the difference of measured and commanded travel, m and rad, clipped to its bounds."""
+        """Return the measured travel minus the commanded travel, m and rad, clipped to the bounds of the term."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # In the first step after a reset, the travel error is 0.
+        if -1 in self.memory:  # The travel error is 0 in the first step after a reset.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
@@ -100,7 +100,7 @@ class Term:
         return total
 
     def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
-        """Apply a modifier of the term to ``x``, and store the modifier's state for the next control step."""
+        """Apply an observation modifier to ``x``, and store the modifier's state for the next control step."""
         kind = spec["kind"]
         if kind == "scale":
             return x * F(spec["multiplier"])
@@ -113,7 +113,7 @@ class Term:
             total = total + (x + before) / F(2) * F(spec["dt"])
             self.memory[number] = [total, x]
             return total
-        # This modifier is a digital filter, whose memory starts with the newest value.
+        # A digital filter's memory starts with the newest value.
         forward, feedback = array(spec["B"]), array(spec["A"])
         empty = [np.zeros((*x.shape, len(forward)), F), np.zeros((*x.shape, len(feedback)), F)]
         ins, outs = self.memory.get(number, empty)
@@ -123,7 +123,7 @@ class Term:
         return y
 
     def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
-        """Return the term's part of the observation, including the term's history, as a flat array."""
+        """Return an observation term's part of the observation, including the term's history, as a flat array."""
         x = self.value(readings, action, steps)
         for number, spec in enumerate(self.spec["modifiers"]):
             x = self.modified(number, spec, x)
@@ -131,16 +131,16 @@ class Term:
             x = np.clip(x, F(self.spec["clip"][0]), F(self.spec["clip"][1]))
         x = x * self.arrays["scale"] if "scale" in self.arrays else x
         old = np.repeat(x[None], self.length, axis=0) if self.history is None else self.history
-        self.history = np.concatenate((old[1:], x[None]))  # oldest first, (history_length, width)
+        self.history = np.concatenate((old[1:], x[None]))  # samples, oldest first, (history_length, width)
         return self.history
 
 
 class Policy:
     """The policy with its memory: histories, last action, filters, moving averages.
 
-    If ``onnx`` is true, onnxruntime runs ``policy.onnx``, or onnx.reference does if onnxruntime is missing.
-    ``observation`` is the network's last input, before normalisation. ``action`` is the network's last output, clipped
-    as in training.
+    If ``onnx`` is true, ``policy.onnx`` is run by onnxruntime, or by onnx.reference without onnxruntime.
+    ``observation`` is the last input of the policy's network, before normalisation. ``action`` is the last output of
+    the policy's network, clipped as in training.
     """
 
     def __init__(self, folder: str | Path = Path(__file__).parent, onnx: bool = False) -> None:
@@ -165,25 +165,25 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next readings fill every history, and rolling joints count from them."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # each rolling joint's position at the reset minus its default
+        self.zero = np.zeros(len(self.default))  # position of each rolling joint at the reset, minus its default
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
             term.reset()
 
     def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Return the targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of all J joints, (J,) each.
+        """Return targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of the J joints, (J,) each.
 
-        ``readings`` are the current sensor values and commands, by name. The reading ``base_quat`` (w, x, y, z) can
-        replace ``projected_gravity``. A missing or non-finite reading raises ValueError and leaves the policy's state
-        unchanged.
+        ``readings`` maps the names of sensor readings and commands to their current values. The sensor reading
+        ``base_quat`` (w, x, y, z) can replace the reading ``projected_gravity``. A missing or non-finite sensor reading
+        raises ValueError and leaves the policy's state unchanged.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
         return self.act(readings["joint_pos"])
 
     def observe(self, readings: Mapping[str, Any]) -> np.ndarray:
-        """Append the readings of one step to the histories, and return the observation of the network."""
+        """Append the sensor readings of one step to the observation histories, and return the network's observation."""
         found = {name: np.asarray(value, F) for name, value in readings.items()}
         if "projected_gravity" not in found and "base_quat" in found:
             if found["base_quat"].shape != (4,) or not np.isfinite(found["base_quat"]).all():
@@ -200,7 +200,7 @@ class Policy:
         pieces = []
         for terms, group in zip(self.groups, self.spec["observations"], strict=True):
             histories = [term.sample(found, self.action, self.steps) for term in terms]
-            if group["history_order"] == "time":  # Each time step of the history contains all terms.
+            if group["history_order"] == "time":  # Each time step of a group's history contains all terms of the group.
                 pieces.append(np.concatenate(histories, axis=1).ravel())
             else:  # term by term
                 pieces += [history.ravel() for history in histories]
@@ -219,12 +219,12 @@ class Policy:
         return self.clipped(x.astype(F))
 
     def clipped(self, actions: np.ndarray) -> np.ndarray:
-        """Return the network's actions, clipped to the limits of the training."""
+        """Return the policy network's actions, clipped to the limits of the training."""
         bound = self.spec["clip_actions"]
         return actions if bound is None else np.clip(actions, F(-bound), F(bound))
 
     def act(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the joint targets for the last computed action, and update the moving averages of the actions."""
+        """Return the joint targets for the last action of the policy, and update the moving averages of the actions."""
         self.steps += 1
         self.processed = [self.process(term, self.counted(joint_pos)) for term in self.spec["actions"]]
         return self.targets(joint_pos)
@@ -234,7 +234,7 @@ class Policy:
         return (np.asarray(joint_pos, float) - self.zero).astype(F)
 
     def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
-        """Return the joint targets of one action term."""
+        """Return the joint targets of one action term of the policy."""
         raw = self.action[term["start"] : term["stop"]]
         kind = term["function"]
         if kind == "binary":
@@ -248,7 +248,7 @@ class Policy:
             low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
             if term["rescale"]:
                 x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
-            if "alpha" in term:  # The moving average of the action starts at the current joint positions.
+            if "alpha" in term:  # The moving average of the actions starts at the current joint positions.
                 last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
                 x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
                 self.averages[term["name"]] = x
@@ -257,8 +257,8 @@ class Policy:
     def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
         """Return the targets for newer joint positions: only relative targets differ from those of ``step``.
 
-        Target positions are clipped to the joint limits. Target velocities are clipped to the velocity limits of the
-        drives.
+        Target positions of joints are clipped to the joint limits. Target velocities are clipped to the velocity limits
+        of the motor drives.
         """
         found = {"position": self.default.copy(), "velocity": np.zeros_like(self.default)}
         found["effort"] = np.zeros_like(self.default)
@@ -271,11 +271,11 @@ class Policy:
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
-    """Return the largest differences between the runner's steps and the recorded steps in ``check.npz``.
+    """Return the largest differences between the runner's numbers and the numbers recorded in ``check.npz``.
 
     Each compared step starts from recorded values: observations from readings and last actions, actions from the
-    observation, and targets from the action. ``actions_float32`` compares actions in float32, for which the order of a
-    sum changes the rounding.
+    observation, and targets from the action. ``actions_float32`` is the difference between actions in float32, where
+    the order of a sum changes the rounding.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
@@ -295,12 +295,12 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
 
 
 def largest_difference(found: Any, wanted: np.ndarray) -> float:
-    """Return the largest |found - wanted| / max(1, |wanted|) of two arrays."""
+    """Return the largest value of |found - wanted| / max(1, |wanted|) for two arrays."""
     return float(np.max(np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted)), initial=0.0))
 
 
 def main(words: list[str]) -> int:
-    """Print the differences from the recorded steps; return 1 if a difference is above its tolerance, else 0."""
+    """Print the differences between computed and recorded numbers; return 1 if one is above its tolerance, else 0."""
     limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
     status = 0
     for name, difference in check(onnx="--onnx" in words).items():

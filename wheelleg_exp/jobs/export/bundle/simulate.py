@@ -1,8 +1,8 @@
 """Simulate the bundle's robot and policy in MuJoCo, as in ``python simulate.py --seconds 20 --command 0.2 0 0``.
 
-Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status is 1 if the
-robot fell. ``robot/scene.xml`` contains the robot of the training on level ground. The motor drives compute torques as
-in training.
+Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status of the
+program is 1 if the robot fell. ``robot/scene.xml`` places the training's robot on level ground. The simulated motor
+drives compute torques as in training.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ FALLEN = 0.5  # A robot counts as fallen above a tilt of 60 degrees, whose cosin
 class Robot:
     """The simulated robot: its readings, and drives that take targets.
 
-    ``scene`` is an MJCF file with the ground, the robot, and one actuator per driven joint, named after the joint.
+    ``scene`` is an MJCF file with the ground, the robot, and one actuator per driven joint with the joint's name.
     """
 
     def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
         self.spec = spec
         self.model = mujoco.MjModel.from_xml_path(str(scene))
-        self.model.opt.timestep = spec["physics_dt"]  # XML keeps six digits
+        self.model.opt.timestep = spec["physics_dt"]  # XML stores six digits of a number
         self.data = mujoco.MjData(self.model)
         self.commands: dict[str, np.ndarray] = {}
         joints = [self.model.joint(name) for name in spec["joint_names"]]
@@ -54,7 +54,7 @@ class Robot:
         self.reset()
 
     def reset(self) -> None:
-        """Place the robot in its default pose."""
+        """Place the simulated robot in its default pose."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:7] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]]
         self.data.qpos[self.qpos] = self.spec["default_joint_pos"]
@@ -62,7 +62,7 @@ class Robot:
         mujoco.mj_forward(self.model, self.data)
 
     def readings(self, commands: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the sensor readings and commands that the policy needs, by name."""
+        """Return the values of the sensor readings and commands that the policy needs, by name."""
         data, effort = self.data, np.zeros(len(self.qpos))
         for drive, actuators in self.drives:
             effort[drive["joint_ids"]] = data.actuator_force[actuators]
@@ -71,7 +71,7 @@ class Robot:
         velocity = np.empty(3)
         mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
         return {
-            "base_ang_vel": data.qvel[3:6],  # MuJoCo gives the angular velocity of a free joint in the body frame.
+            "base_ang_vel": data.qvel[3:6],  # For a free joint, MuJoCo gives the angular velocity in the body frame.
             "base_quat": data.qpos[3:7],
             "base_lin_vel": velocity + np.cross(data.qvel[3:6], self.root.ipos),
             "base_height": data.qpos[2:3],
@@ -83,7 +83,7 @@ class Robot:
         }
 
     def imu_readings(self) -> dict[str, np.ndarray]:
-        """Return the readings of the IMUs, without sensor errors."""
+        """Return the readings of the robot's IMUs, without sensor errors."""
         found: dict[str, np.ndarray] = {}
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -99,13 +99,13 @@ class Robot:
         return found
 
     def drive(self, targets: Mapping[str, np.ndarray]) -> None:
-        """Convert joint targets into MuJoCo controls; call this method before each physics step."""
+        """Convert joint targets into MuJoCo controls; the caller must call this method before each physics step."""
         q, qd = self.data.qpos[self.qpos], self.data.qvel[self.qvel]
         for drive, actuators in self.drives:
             ids, limit = drive["joint_ids"], array(drive["effort_limit"], np.inf)
             kp, kd = array(drive["stiffness"]), array(drive["damping"])
             torque = kp * targets["position"][ids] + kd * targets["velocity"][ids] + targets["effort"][ids]
-            if drive["law"] != "implicit":  # In implicit drives, MuJoCo computes the PD law.
+            if drive["law"] != "implicit":  # For a joint with an implicit drive, MuJoCo itself computes the PD law.
                 torque = np.clip(torque - kp * q[ids] - kd * qd[ids], -limit, limit)
             if drive["law"] == "dc_motor":
                 stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
@@ -116,7 +116,7 @@ class Robot:
             self.data.ctrl[actuators] = torque
 
     def approached(self, name: str, asked: Any) -> np.ndarray:
-        """Return the next command on the way to the requested command, with the acceleration limits of the training."""
+        """Return the next command on the way to ``asked``, within the acceleration limits of the training."""
         now = self.commands.setdefault(name, np.zeros(len(asked)))
         most = array(self.spec["command_accelerations"].get(name, [None] * len(asked)), np.inf) * self.spec["step_dt"]
         now += np.clip(np.asarray(asked) - now, -most, most)
@@ -137,7 +137,7 @@ class Robot:
 
 
 def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
-    """Return one text for each command component that is outside the command range of the training."""
+    """Return a warning for each component of a command that is outside the command range of the training."""
     if len(ranges) != len(command) or any(len(pair) != 2 for pair in ranges.values()):
         return []
     parts = zip(ranges.items(), command, strict=True)
