@@ -102,7 +102,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
 def evaluated(
     args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
-    """Evaluate the policy of one run; with the option ``--kept``, load the run's stored evaluation instead."""
+    """Evaluate the policy of one run, or load the run's stored evaluation if the option ``--kept`` is given."""
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
     if args.kept:

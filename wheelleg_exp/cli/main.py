@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; ``argv`` contains the command-line words after ``wheelleg``."""
     prepare_threads()
     if argv is None:
-        # Run Python's garbage collector after 10,000 new objects instead of hundreds, but not when the process ends.
+        # Run Python's garbage collector only after every 10,000 new objects, and not at the end of the process.
         gc.set_threshold(10_000)
         atexit.register(gc.freeze)
     words = list(sys.argv[1:] if argv is None else argv)
@@ -137,7 +137,7 @@ def _enter_project(args: argparse.Namespace) -> None:
 
 
 def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
-    """Parse options and overrides in any order; return None after ``--help`` or ``--version``."""
+    """Parse command-line options and config overrides in any order; return None after ``--help`` or ``--version``."""
     try:
         return parser.parse_intermixed_args(words)
     except SystemExit:  # Only --help and --version raise SystemExit, because Parser.error raises UsageError.
@@ -167,7 +167,7 @@ def _failed(message: str, status: int, debug: bool) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP act like Ctrl-C inside the block. Only the main thread can set signal handlers."""
+    """Make SIGTERM and SIGHUP act like Ctrl-C inside the ``with`` block; do nothing outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -55,7 +55,7 @@ def _write(args: argparse.Namespace) -> int:
     words = [word for word in args.runs if is_override(word)]
     if not names:
         raise WheellegError("the command line names no run to evaluate", key="RUN", expected="the runs of the table")
-    earlier_manifests(args.name, args.into)  # Do not overwrite a file that is not a results page.
+    earlier_manifests(args.name, args.into)  # This call raises an error if the file to overwrite is not a results page.
     chosen = found(args, names)
     require_one_method([directory for directory, _ in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:

@@ -30,11 +30,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train one run, a sweep, or a pipeline, and print the result."""
+    """Train one run, a sweep, or a pipeline, and print the result of the training."""
     from wheelleg_exp.stop_request import StopRequest
     from wheelleg_exp.terms.key_syntax import names_pipeline
 
-    # Handle interrupts before any heavy import, because a C++ library can lose an interrupt during its import.
+    # Handle interrupts before heavy imports, because an interrupt can be lost while Python imports a C++ library.
     with StopRequest() as stop:
         if any(map(names_pipeline, args.overrides)):
             from wheelleg_exp.cli.train_pipeline import train_pipeline

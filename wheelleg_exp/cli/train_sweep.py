@@ -26,7 +26,7 @@ _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTER
 
 
 def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
-    """Expand a sweep, check and train every job, and print the result."""
+    """Expand a sweep into jobs, check and train every job, and print the results."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
     from wheelleg_exp.config.composing.compose_sweep import compose_sweep
 

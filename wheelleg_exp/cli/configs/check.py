@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
-    """Return the errors in the key ``init_from``; print how the initial policy's observations differ from the task."""
+    """Return the errors in ``init_from``; print how the observations of the initial policy and of the task differ."""
     from wheelleg_exp.config.config_errors import parts
     from wheelleg_exp.jobs.train.initial_networks import initial_file
 

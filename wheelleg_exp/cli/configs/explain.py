@@ -17,7 +17,7 @@ from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
 _LABEL = 14
-_SHOWN = 24  # At most this number of values or keys of a list is printed.
+_SHOWN = 24  # At most this number of values or keys is printed in one list.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the explanation of a config key; the key can be given before, between, or after the overrides."""
+    """Print the explanation of a config key; users can type the key before, between, or after overrides."""
     words = [args.key, *args.overrides]
     keys = [index for index, word in enumerate(words) if not is_override(word)]
     key = words.pop(keys[0] if len(keys) == 1 else 0)
