@@ -1,7 +1,7 @@
 """Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
 
-A folder with the index file of a pipeline is not a run directory. The error for such a folder lists the run directories
-of the pipeline's phases.
+A folder with the index file of a pipeline is not a run directory. The error for the folder of a pipeline lists the run
+directories of the pipeline's phases.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ PIPELINE_NAME = "pipeline.json"
 
 
 def is_pipeline(folder: Path) -> bool:
-    """Return whether a folder has a pipeline's index but no manifest; a folder with a manifest is a run directory."""
+    """Return whether a folder has a pipeline's index file but no manifest, which would make it a run directory."""
     return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
 
 
 def pipeline_error(folder: Path) -> RunDirectoryError | None:
-    """Return the error for a pipeline's folder that a user gives instead of a run; return None for other folders."""
+    """Return the error for a pipeline's folder that a user gives instead of a run; None for any other folder."""
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
@@ -105,11 +105,11 @@ class RunDirectory(os.PathLike[str]):
         *,
         section: str | None = None,
     ) -> RunDirectory:
-        """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` in local time.
+        """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``; the time is local.
 
-        If the folder already exists, the suffix ``-2``, ``-3``, … makes the name unique. If ``section`` is
-        ``agents`` or ``replays``, the directory is created in the subfolder ``section`` of the root; the name
-        ``latest`` and the list of runs ignore this subfolder.
+        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. If ``section`` is
+        ``agents`` or ``replays``, the run directory is created in this subfolder of ``root``, which the name ``latest``
+        and the list of runs ignore.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
@@ -126,8 +126,8 @@ class RunDirectory(os.PathLike[str]):
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Find a run directory by its path, by its id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        If ``odd`` is true, the run directory can contain links, pipes, and devices. The caller must report the links,
-        pipes, and devices, and must not open them.
+        If ``odd`` is true, links, pipes, and devices in the run directory raise no error. With ``odd``, the caller must
+        report links, pipes, and devices in the run directory, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
@@ -162,11 +162,11 @@ class RunDirectory(os.PathLike[str]):
     environment = _PathInside("environment.txt")  # This file lists the installed Python distributions.
 
     def manifest(self) -> Manifest:
-        """Read the manifest; raise RunDirectoryError if it is missing or damaged."""
+        """Read the manifest of the run; raise RunDirectoryError if the manifest is missing or damaged."""
         return Manifest.load(self.path)
 
     def inside(self, name: str) -> Path:
-        """Return the path of a file in the run directory; raise RunDirectoryError for a path outside."""
+        """Return the path of a file in the run directory; raise RunDirectoryError for a path outside this directory."""
         if not is_inside(name) or not (self.path / name).resolve().is_relative_to(self.path.resolve()):
             raise RunDirectoryError(f"the path '{name}' is outside the run directory", expected="a path below it")
         return self.path / name
@@ -185,7 +185,7 @@ class RunDirectory(os.PathLike[str]):
         return found[-1]
 
     def checkpoint(self, iteration: int) -> Path:
-        """Return the checkpoint of one iteration; the error for a missing checkpoint names the nearest checkpoint."""
+        """Return the path of one iteration's checkpoint; if it is missing, an error names the nearest checkpoint."""
         found = {checkpoint_iteration(path): path for path in self.checkpoints()}
         if iteration in found:
             return found[iteration]
@@ -196,7 +196,7 @@ class RunDirectory(os.PathLike[str]):
 
 
 def checkpoint_iteration(path: Path) -> int:
-    """Return the iteration from a checkpoint's file name; raise RunDirectoryError if the name has another format."""
+    """Return the iteration in a checkpoint's file name; raise RunDirectoryError for a name without an iteration."""
     match = CHECKPOINT.fullmatch(path.name)
     if match is None:
         raise RunDirectoryError(f"'{path.name}' is not a checkpoint's file name", expected="model_<iteration>.pt")
