@@ -71,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
 def answer(line: str, breaks: str | None = None) -> list[str]:
     """Return the completion candidates for the last word of a command line.
 
-    ``breaks`` contains the characters at which bash splits words, or is None for zsh and fish. bash
-    expects only the part of a candidate after its last word break, and a space after a complete candidate.
+    ``breaks`` contains the characters at which bash splits words, or is None for zsh and fish. bash expects only the
+    part of a candidate after its last word break, and a space after a complete candidate.
     """
     words, word, quote = split(line)
     try:

@@ -90,8 +90,8 @@ def hardware() -> dict[str, Any]:
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
     """Return the environment variables that can change the results of a run, sorted by name.
 
-    ``also`` contains the names of further environment variables to return, such as those that a config requests.
-    An environment variable whose name contains a word such as ``TOKEN`` or ``PASSW`` is left out.
+    ``also`` contains the names of further environment variables to return, such as those that a config requests. An
+    environment variable whose name contains a word such as ``TOKEN`` or ``PASSW`` is left out.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)

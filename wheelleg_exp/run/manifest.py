@@ -1,7 +1,7 @@
 """``manifest.json`` of a run: its settings, its end, and the digest of every file that the run wrote.
 
-The last key of ``manifest.json``, ``sha256``, is a hash of the file's own bytes, which reveals a changed byte.
-The type of every value in a manifest is checked before the value is used.
+The last key of ``manifest.json``, ``sha256``, is a hash of the file's own bytes, which reveals a changed byte. The type
+of every value in a manifest is checked before the value is used.
 """
 
 from __future__ import annotations

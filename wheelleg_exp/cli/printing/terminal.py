@@ -73,8 +73,8 @@ def styled(stream: Any) -> Any:
 def lasting_streams() -> Iterator[None]:
     """Inside the ``with`` block, ignore all write errors on standard error, and a closed pipe on standard output.
 
-    Write errors on standard error are ignored, so that a closed terminal or a full disk does not stop a training.
-    On standard output, which contains the result of the command, every write error except a closed pipe is raised.
+    Write errors on standard error are ignored, so that a closed terminal or a full disk does not stop a training. On
+    standard output, which contains the result of the command, every write error except a closed pipe is raised.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)

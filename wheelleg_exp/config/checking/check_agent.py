@@ -28,7 +28,7 @@ _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
 def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
-    """Return the mistakes in the ``agent`` section; ``groups`` are the names of the observation groups."""
+    """Return the mistakes in the config section ``agent``; ``groups`` contains the names of the observation groups."""
     from wheelleg_exp.rl import mirror_rules
 
     if not isinstance(agent, Mapping):
@@ -85,7 +85,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         names = [known for module in modules for known in dir(module) if not known.startswith("_")]
         nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # Check the module that defines the object, because an allowed module can import any function.
+    # Check the module that defines the named object, because an allowed module can import foreign functions.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if defined_there else [refused]
 
@@ -157,7 +157,7 @@ def _takes_any(found: Any) -> bool:
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the valid activations or optimisers from rsl_rl's error message; None if rsl_rl accepts ``value``."""
+    """Return the activations or optimisers that rsl_rl lists in its error; None if rsl_rl accepts ``value``."""
     import rsl_rl.utils
 
     try:

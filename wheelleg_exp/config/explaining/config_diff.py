@@ -23,7 +23,7 @@ ABSENT = _Absent()
 
 @dataclass(frozen=True)
 class Change:
-    """One key at which two config trees differ; ``a`` or ``b`` is ``ABSENT`` if that tree lacks the key."""
+    """One key at which two config trees differ; ``a`` or ``b`` is ``ABSENT`` if tree A or B lacks the key."""
 
     keys: Keys
     a: Any
@@ -31,7 +31,7 @@ class Change:
 
     @property
     def key(self) -> str:
-        """The dotted config key of the value."""
+        """The dotted config key at which two config trees differ."""
         return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
 
 
@@ -79,7 +79,7 @@ class Side:
     """One of the two configs of a comparison.
 
     ``where`` returns the file and line, or the override, that set or removed a key. ``facts`` contains facts about a
-    run by section, such as code, versions, and hardware.
+    run's code, versions, and hardware.
     """
 
     label: str
@@ -92,7 +92,7 @@ class Side:
 class PlacedChange:
     """One difference between two configs, with the place of each value.
 
-    ``is_term`` is true if a whole term or the order of terms differs. ``note`` states the effect of the difference.
+    ``is_term`` is true if the difference is a whole term or the order of terms. ``note`` is the effect.
     """
 
     kind: Kind
@@ -117,7 +117,7 @@ class FactChange:
 
 @dataclass(frozen=True)
 class Difference:
-    """All differences between two configs. The object is false in a boolean context if the configs are equal."""
+    """All differences between two configs; the object is false in a boolean context if the configs are equal."""
 
     terms: tuple[PlacedChange, ...]
     parameters: tuple[PlacedChange, ...]
@@ -171,7 +171,7 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
 
 
 def _makes(value: Any, default: Any) -> bool:
-    """Return whether a value equals a default. The value can be the node that builds the default object."""
+    """Return whether a config value equals a default, or is the ``_target_`` node that builds the default object."""
     target = key_slots.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)
