@@ -227,7 +227,7 @@ class EventPipe:
 
 
 def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
-    """Run the job that the first line of standard input requests, and return the exit status."""
+    """Run the job that the first line of standard input requests, and return the job's exit status."""
     prepare_threads()
     descriptor = os.dup(1)
     os.dup2(2, 1)
@@ -239,7 +239,7 @@ def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
 
 
 def run_job(pipe: EventPipe, work: Callable[[EventPipe], None]) -> int:
-    """Run a job, send an ``ended`` event to the parent process, and return the exit status."""
+    """Run a job in a child process, send an ``ended`` event to the parent process, and return the exit status."""
     try:
         work(pipe)
     except Interrupted:

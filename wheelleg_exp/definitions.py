@@ -381,10 +381,10 @@ RECORDED = {
 
 
 def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:
-    """Return the headings of a table's columns with units; without ``keys``, return the headings of all columns."""
+    """Return the headings of a table's columns ``keys`` with units; without ``keys``, return all headings."""
     return tuple(RECORDED[table][key].heading for key in keys or RECORDED[table])
 
 
 def recorded_label(table: str, key: str) -> str:
-    """Return the label of a figure in a table of definitions."""
+    """Return the label of a figure from a table of definitions."""
     return RECORDED[table][key].label

@@ -74,7 +74,7 @@ class UnreadKey(ConfigError):
 
 
 class AssetError(WheellegError):
-    """A robot file cannot be read, or lacks required content."""
+    """A robot file is unreadable or lacks required content."""
 
     def of(self, key: str) -> AssetError:
         """Return a copy of an error with a config key; the error's old key and place become a part of its message."""

@@ -152,7 +152,7 @@ def _opened(path: str, flags: int) -> int:
 
 
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
-    """Return the content of a file of at most ``largest`` bytes."""
+    """Return the content of a file; raise an error if the file has more than ``largest`` bytes."""
     with open_file(path) as file:
         size = os.fstat(file.fileno()).st_size  # Read the file's size first, because file.read(n) allocates n bytes.
         data = b"" if size > largest else file.read(size + 1)
@@ -274,7 +274,7 @@ def sync(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync every file below a folder to the disk, and the directory entries of the files and of the folder."""
+    """Sync every file below a folder, and the directory entries of the files and the folder, to the disk."""
     for path in sorted(folder.rglob("*")):
         _sync(path)
     for place in (folder, folder.parent, folder.parent.parent):

@@ -34,7 +34,7 @@ def machine_memory() -> int:
 
 
 def require_memory(need: int, key: str, what: str) -> None:
-    """Raise ConfigError for ``key`` if the machine has less memory than the ``need`` bytes that ``what`` needs."""
+    """Raise ConfigError for the config key ``key`` if the machine has fewer bytes of memory than ``need``."""
     total = machine_memory()
     if need > total:
         message = f"{what} take {shown_bytes(need)} of memory at least"
@@ -69,7 +69,7 @@ def require_room(space: int = _SPACE) -> None:
 
 
 def shown_bytes(size: int) -> str:
-    """Return a memory size as text in GB or MB with three digits."""
+    """Return a memory size as text with a unit such as GB or MB."""
     factor, unit = next((pair for pair in _UNITS if size >= pair[0]), _UNITS[-1])
     return f"{size / factor:,.3g} {unit}" if size < 1e15 else f"{size / factor:.1e} {unit}"
 

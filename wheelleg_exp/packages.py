@@ -1,8 +1,8 @@
 """Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
-declaration is read from the installed distribution. Without installation, a project counts while the current folder is
-in it, or while ``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The declaration of an installed
+project is read from the installed distribution. Without installation, a project counts while the current folder is in
+it, or while ``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be
 imported. A package that a project declares is imported only if a config names a target in the package. Packages that a
 project does not declare cannot be imported from the project.
 
@@ -45,7 +45,7 @@ def trust(folders: Iterable[Path]) -> None:
 
 
 def is_trusted(path: str | Path) -> bool:
-    """Return whether a path leads to a trusted folder."""
+    """Return whether a path leads to a folder that the user trusts."""
     return real_path(path) in _trusted() - {""}
 
 
@@ -184,7 +184,7 @@ def _resolved(folder: Path) -> Path:
 
 
 def config_folder(folder: Path) -> Path:
-    """Return the absolute path of a config folder, given its path, its project, or an installed package's name."""
+    """Return the absolute path of a config folder, given as a path, a project, or an installed package's name."""
     absolute = Path(folder).expanduser().absolute()
     if absolute.is_dir():
         project = read_project(absolute)
@@ -208,7 +208,7 @@ def config_folder(folder: Path) -> Path:
 
 
 def installed_packages() -> tuple[str, ...]:
-    """Return the packages that installed distributions declare for configs."""
+    """Return the packages that installed distributions allow configs to call."""
     from importlib import metadata  # The import of importlib.metadata is too slow for composing a config.
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)

@@ -26,7 +26,7 @@ _OPENING = (b"[", b"{", b"-", b":", b"?")  # Each of these characters can start 
 
 
 class Unreadable(ValueError):
-    """A text is not valid JSON or YAML, or contains a value that this program never writes. Lines count from 1."""
+    """A text is not valid JSON or YAML, or contains a value that ``wheelleg`` never writes. Lines count from 1."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         super().__init__(problem)

@@ -18,7 +18,7 @@ def stop_signals() -> list[signal.Signals]:
 
 
 class StopRequest:
-    """A context in which the first stop signal sets ``requested`` and a second stop signal raises ``Interrupted``.
+    """A context in which the first stop signal (Ctrl-C) sets ``requested`` and a second one raises ``Interrupted``.
 
     A second hang-up signal raises nothing, because both the system and the shell can send one when a terminal closes.
     """

@@ -103,7 +103,7 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--config-dir``; users can give the option several times in one command."""
+    """Add the option ``--config-dir`` to a command's parser; users can repeat the option in one command."""
     text = "a folder of your own configs, a project, or the name of an installed project, searched after the stock "
     text += "configs (repeatable); the project in the current folder is found without this option"
     parser.add_argument(

@@ -99,7 +99,7 @@ def split(line: str) -> tuple[list[str], str, str]:
 
 
 def candidates(words: list[str], word: str) -> list[str]:
-    """Return the completion candidates for ``word``, the unfinished word of a command line after the given words."""
+    """Return the completion candidates for ``word``, the unfinished last word of a command line."""
     from wheelleg_exp.cli.main import COMMANDS
 
     typed = [w for w in words[1:] if w != "--debug"]

@@ -88,7 +88,7 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return the runs with the given names, each with a checkpoint; raise WheellegError if a name occurs twice."""
+    """Return the runs with the given names, each with a checkpoint; raise WheellegError for a repeated name."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]

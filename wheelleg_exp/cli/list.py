@@ -54,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the requested list as a table or as JSON."""
+    """Print the list that ``wheelleg list`` was asked for, such as the runs, as a table or as JSON."""
     if args.kind not in _LISTS:
         expected, nearest = "one of " + ", ".join(_LISTS), nearest_name(args.kind, _LISTS)
         raise UsageError("wheelleg cannot list this", key=args.kind, expected=expected, nearest=nearest)

@@ -73,7 +73,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status; ``argv`` contains the command-line words after ``wheelleg``."""
+    """Run one command of ``wheelleg`` and return its exit status; ``argv`` contains the words after ``wheelleg``."""
     prepare_threads()
     if argv is None:
         # Run Python's garbage collector only after every 10,000 new objects, and not at the end of the process.
@@ -126,7 +126,7 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Load the project in the current folder; ``train`` and ``resume`` also trust the code in ``--config-dir``."""
+    """Load the user project in the current folder; for ``train`` and ``resume``, trust the code in ``--config-dir``."""
     if hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
         if args.command[1] in ("train", "resume"):

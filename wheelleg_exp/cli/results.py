@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate runs and write a table of their results; with ``--again``, reproduce an existing table of results."""
+    """Evaluate runs and write a table of the results; with ``--again``, reproduce an existing table of results."""
     from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:

@@ -11,7 +11,7 @@ _OVERRIDE = "override "
 
 
 class Mistakes(ConfigError):
-    """An error that lists several config errors, one per line."""
+    """An error whose message lists several config errors, one per line."""
 
     def __init__(self, errors: Sequence[ConfigError]) -> None:
         lines = "\n".join(f"  {error}" for error in errors)
@@ -37,7 +37,7 @@ def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where
 
 
 def join(errors: Sequence[ConfigError]) -> ConfigError:
-    """Return one ConfigError that lists all of ``errors``; a single error is returned unchanged."""
+    """Join ``errors`` to one ConfigError that lists them; a single error is returned unchanged."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)
 
 
@@ -47,7 +47,7 @@ def parts(error: ConfigError) -> list[ConfigError]:
 
 
 def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> NoReturn:
-    """Raise one ConfigError that lists all of ``errors``."""
+    """Raise one ConfigError that lists all given ``errors``."""
     raise join(errors) from cause
 
 

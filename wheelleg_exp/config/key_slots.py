@@ -196,7 +196,7 @@ def class_slots(found: Any, section: str) -> dict[str, Slot]:
 
 
 def extension_of(keys: Keys) -> Any | None:
-    """Return the class of rsl_rl that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for other keys."""
+    """Return the rsl_rl class that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for any other key."""
     if len(keys) != 3 or keys[:2] != ("agent", "algorithm") or keys[2] not in EXTENSIONS:
         return None
     from rsl_rl import extensions

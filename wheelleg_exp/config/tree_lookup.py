@@ -42,7 +42,7 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
 
 
 def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
-    """Return the nested mapping that has the given values at the given key paths."""
+    """Return the nested mapping that has given values at given key paths."""
     tree: dict[str, Any] = {}
     for keys, value in entries.items():
         node = tree

@@ -39,7 +39,7 @@ class FileFindings:
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
-    """Return the size and sha256 of each file below ``directory``, except the manifest, locks, and temporary files."""
+    """Return the size and sha256 of each file below ``directory``; skip the manifest, locks, and temporary files."""
     return record_files(directory, _files(directory))
 
 
@@ -90,7 +90,7 @@ def odd_entries(directory: Path) -> dict[str, str]:
 
 
 def relative_name(directory: Path, path: Path) -> str:
-    """Return ``path`` relative to ``directory``, with forward slashes; raise RunDirectoryError for a path outside.
+    """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
 
     A relative ``path`` starts at the working directory if this file is below ``directory``, otherwise at ``directory``.
     """

@@ -52,7 +52,7 @@ class Repository:
     settings: dict[str, str] = field(default_factory=dict)  # Git settings that replace the user's settings.
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
-        """Run one git command in the working tree and return its output; raise GitError if the command fails."""
+        """Run one git command in the working tree and return the command's output; raise GitError for a failure."""
         return run_git(self.top, *arguments, stdin=stdin, environ=self.environ, settings=self.settings)
 
     def text(self, *arguments: str) -> str:
@@ -60,7 +60,7 @@ class Repository:
         return os.fsdecode(self.run(*arguments)).removesuffix("\n")
 
     def maybe(self, *arguments: str) -> str | None:
-        """Run one git command and return its output as text; None when the command fails or prints nothing."""
+        """Run one git command and return the command's output as text; None if the command fails or prints nothing."""
         try:
             return self.text(*arguments) or None
         except GitError:
@@ -78,7 +78,7 @@ def run_git(
     environ: dict[str, str] | None = None,
     settings: dict[str, str] | None = None,
 ) -> bytes:
-    """Run one git command in ``folder`` and return its output; raise GitError if the command fails."""
+    """Run one git command in ``folder`` and return the command's output; raise GitError if the command fails."""
     kept = {k: v for k, v in os.environ.items() if k not in _MISLEADING} | _ALONE
     # Set git settings by environment variables, because ``git -c`` does not accept a name that contains ``=``.
     first = int(kept.get("GIT_CONFIG_COUNT") or 0)
@@ -115,7 +115,7 @@ def join_nul(names: Iterable[str]) -> bytes:
 
 @contextmanager
 def scratch_index(repository: Repository) -> Iterator[Repository]:
-    """Yield a copy of ``repository`` that uses a temporary copy of the index and a temporary object store.
+    """Yield a copy of ``repository`` that uses a temporary copy of git's index and a temporary git object store.
 
     Git commands on the yielded copy do not change the user's index and object store, and run no filter programs.
     """

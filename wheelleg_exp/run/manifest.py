@@ -37,7 +37,7 @@ from wheelleg_exp.user_exceptions import is_interrupt
 
 @dataclass(frozen=True)
 class Optional:
-    """Marks the type of a manifest value that can be missing or null."""
+    """The type of a manifest value that can be missing or null."""
 
     kind: Any
 
@@ -177,7 +177,7 @@ class Manifest:
         threads: Mapping[str, Any],
         now: datetime | None = None,
     ) -> Manifest:
-        """Write the first manifest of a run, with status ``running`` and the files that already exist."""
+        """Write a run's first manifest, with the status ``running`` and the files that exist in the run directory."""
         path = directory / MANIFEST_NAME
         if path.exists():
             raise RunDirectoryError(f"the folder '{directory}' already contains a run", expected="a new run directory")
@@ -311,9 +311,9 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        The new entry in the manifest's list ``resumes`` stores the old values of the replaced manifest keys, and the
-        ``facts`` about the resume. ``texts`` maps the relative path of each snapshot file that the overrides change to
-        the file's new text.
+        A new entry in the manifest's list ``resumes`` stores the old values of replaced manifest keys, and ``facts``
+        about the resume. ``texts`` maps the relative path of each snapshot file that the overrides change to the file's
+        new text.
         """
         texts = dict(texts or {})
 
@@ -370,7 +370,7 @@ class Manifest:
         return self.data["additions"][-1]
 
     def recorded_files(self) -> dict[str, FileRecord]:
-        """Return the newest record of every file of the run, including the files that later commands added."""
+        """Return the newest size and hash of every file of the run, including files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
         # At its end, a run records all its files, so newer records exist only for files that later commands added.
@@ -391,9 +391,9 @@ class Manifest:
     def finishing(self) -> Iterator[dict[str, Any]]:
         """Record in the manifest that the run has ended when the ``with`` block ends.
 
-        The ``with`` block writes the run's results into the yielded dictionary. Ctrl-C sets
-        the run's status to ``interrupted``, and any other exception sets the status to ``failed``. An exception in the
-        block is re-raised, even if the manifest cannot be written.
+        The ``with`` block writes the run's results into the yielded dictionary. Ctrl-C sets the run's status to
+        ``interrupted``, and any other exception sets the status to ``failed``. An exception in the ``with`` block is
+        raised again, even if the manifest cannot be written.
         """
         results: dict[str, Any] = {}
         with self.failing(results):

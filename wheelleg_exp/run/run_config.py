@@ -66,7 +66,7 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert an environment's parameters from the format of an older version to the current format."""
+    """Convert an environment's parameters from the format of an older version of the program to the current format."""
     # The parameters of a run can be in the format of an older version of wheelleg_exp.
     # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and only one engine existed.
     scene, sim = env.get("scene"), env.get("sim")
@@ -80,7 +80,7 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters with the physics engine changed to MuJoCo on the CPU."""
+    """Return an environment's parameters, but with MuJoCo on the CPU as the physics engine."""
     # By default, evaluations, plays, and exports simulate with MuJoCo on the CPU, because this needs no GPU.
     # The figures of two evaluations or plays are comparable if both simulate with one physics engine.
     if not isinstance(env.get("sim"), Mapping):
@@ -163,7 +163,7 @@ def require_overrides(words: Iterable[Any], path: Path) -> None:
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the identity of a run's robot: ``sources``, the sha256 of each robot file, and ``model_sha256``."""
+    """Return the sha256 of each robot file of a run (``sources``) and of the robot's compiled model."""
     path = Path(directory) / ROBOT
     identity = read_json(path)
     for wrong in mistyped_keys(identity, {"model_sha256": str, "sources": {str: str}}):

@@ -178,7 +178,7 @@ class RunDirectory(os.PathLike[str]):
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
-        """Return the path of the newest checkpoint; raise RunDirectoryError if the run has no checkpoint."""
+        """Return the path of the run's newest checkpoint; raise RunDirectoryError if the run has no checkpoint."""
         found = self.checkpoints()
         if not found:
             raise RunDirectoryError(f"the run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")

@@ -110,11 +110,12 @@ class _RunIndex:
 class SweepIndex(_RunIndex):
     """The index of one sweep.
 
-    ``data`` contains ``format``, ``id``, ``status`` (``running``, ``finished``, ``failed`` if a job did not finish,
-    ``interrupted``), ``command``, ``working_directory``, ``started``, ``ended``, ``process``, ``launcher`` and
-    ``jobs``. A job has ``number`` (from 1), ``overrides`` (the whole list that trains this job), ``swept`` (the
-    overrides in which the jobs differ), ``status``, ``run`` (relative to the index), ``started``, ``ended``,
-    ``results`` (of the run) and ``error``. A sweep job that never started has the status ``waiting``.
+    The index of a sweep has the keys ``format``, ``id``, ``status``, ``command``, ``working_directory``, ``started``,
+    ``ended``, ``process``, ``launcher`` and ``jobs``. A sweep's ``status`` is ``running``, ``finished``,
+    ``interrupted``, or ``failed`` if a job did not finish. A job of a sweep has ``number`` (from 1), ``overrides`` (all
+    overrides of the job), ``swept`` (the overrides in which jobs differ), ``status``, ``run`` (path relative to the
+    index), ``started``, ``ended``, ``results`` and ``error``. A sweep job that never started has the status
+    ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -148,7 +149,7 @@ class SweepIndex(_RunIndex):
         return self.data["jobs"]
 
     def write_multirun(self, text: str) -> None:
-        """Write the Hydra config of the whole sweep."""
+        """Write the config that Hydra composed for the whole sweep."""
         write_text(self.folder / MULTIRUN_NAME, text)
 
     def job_started(self, number: int) -> None:
@@ -179,12 +180,12 @@ class SweepIndex(_RunIndex):
 class PipelineIndex(_RunIndex):
     """The index of one pipeline.
 
-    ``data`` contains ``format``, ``id``, ``name``, ``status`` (``running``, ``finished``, ``stopped`` at a gate that
-    was not passed, ``failed``, ``interrupted``), ``why``, ``command``, ``working_directory``, ``config_dirs``,
-    ``root``, ``overrides`` (of all phases), ``started``, ``ended``, ``process``, ``resumes``, ``config`` (the declared
-    pipeline) and ``phases``. A phase has ``name``, ``status``, ``why`` (the reason to continue or to stop), ``digest``
-    (of its config), ``run`` and ``init_from`` (both relative to the index), ``trained`` (the number of finished
-    iterations, as far as known), ``gates`` (the result of each evaluation), ``started`` and ``ended``.
+    The index of a pipeline has the keys ``format``, ``id``, ``name``, ``status``, ``why``, ``command``,
+    ``working_directory``, ``config_dirs``, ``root``, ``overrides`` (of all phases), ``started``, ``ended``,
+    ``process``, ``resumes``, ``config`` (the declared pipeline) and ``phases``. A pipeline's ``status`` is ``running``,
+    ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not pass. A phase has ``name``, ``status``,
+    ``why`` (the reason to continue or stop), ``digest`` (hash of the config), ``run`` and ``init_from`` (paths relative
+    to the index), ``trained`` (finished iterations), ``gates`` (result of each evaluation), ``started`` and ``ended``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
@@ -256,7 +257,7 @@ class PipelineIndex(_RunIndex):
         return max(int(phase["trained"]), last)
 
     def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
-        """Record changed values of one phase in the pipeline's index file."""
+        """Write the changed values of one pipeline phase into the pipeline's index file."""
         number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
         self.phases[number].update(json_plain(changes))
         self.write()

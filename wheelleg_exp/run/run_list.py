@@ -142,7 +142,7 @@ def effective_status(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """The facts that ``wheelleg list sweeps`` shows about a sweep; the attribute ``jobs`` counts the jobs by status."""
+    """The facts that ``wheelleg list sweeps`` shows about a sweep; ``jobs`` contains the number of jobs by status."""
 
     id: str
     status: str
@@ -263,7 +263,7 @@ class SweptRun:
 
 
 def swept_runs(root: Path) -> dict[Path, SweptRun]:
-    """Return the runs of all sweeps below ``root`` by run directory; ignore a sweep with a damaged index file."""
+    """Return the summaries of all sweep runs below ``root`` by run directory; ignore sweeps with a damaged index."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
         try:
@@ -274,7 +274,7 @@ def swept_runs(root: Path) -> dict[Path, SweptRun]:
 
 
 def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
-    """Return the runs of one sweep by run directory."""
+    """Return the summaries of one sweep's runs by run directory."""
     found = {}
     for job in index.jobs:
         folder = index.run_of(job)

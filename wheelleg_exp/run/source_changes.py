@@ -78,7 +78,7 @@ def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
 
 
 def state(mode: str, blob: str) -> State:
-    """Return the state of a path as text, from the mode and blob id in a git tree."""
+    """Return the git mode and blob id of a path in a git tree as text."""
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 

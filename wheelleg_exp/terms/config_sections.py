@@ -75,7 +75,7 @@ _Options = TypeVar("_Options", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Key:
-    """A key that a section of the config accepts."""
+    """A key that a config section accepts."""
 
     name: str
     annotation: Any
@@ -83,7 +83,7 @@ class Key:
 
 
 def keys_of(options: type) -> dict[str, Key]:
-    """Return the keys that a section accepts, which are the fields of the section's dataclass."""
+    """Return the keys that a config section accepts, which are the fields of the section's dataclass."""
     hints = typing.get_type_hints(options, include_extras=True)
     missing = dataclasses.MISSING
     return {

@@ -33,7 +33,7 @@ class Misfit:
 
 
 def fits(value: Any, annotation: Any) -> bool:
-    """Return whether a value from YAML has the type of an annotation.
+    """Return whether a value from YAML has the type that an annotation names.
 
     For a float annotation, an int is valid; for int, a bool is invalid; for tuple, a list is valid. For a class or
     callable annotation, any value is valid, because a nested ``_target_`` node builds the object.
@@ -53,13 +53,13 @@ def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
 
 
 def require_fit(key: str, value: Any, annotation: Any) -> None:
-    """Raise the first mistake in a config value as a ConfigError."""
+    """Raise a ConfigError for the first mistake in a config value."""
     for error in value_errors(key, value, annotation):
         raise error
 
 
 def misfits(value: Any, annotation: Any) -> list[Misfit]:
-    """Return every mistake in a config value; the annotation defines the valid values."""
+    """Return every mistake in a config value; a type annotation defines the valid values."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []

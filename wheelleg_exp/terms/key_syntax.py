@@ -25,7 +25,7 @@ def dotted(keys: Iterable[str]) -> str:
 
 
 def below(path: str, key: str) -> str:
-    """Return the path of the key ``key`` in the section at ``path``."""
+    """Return the config path of the key ``key`` in the config section at ``path``."""
     if re.search(r"[.\[\]]", key):
         return f"{path}[{key}]"
     return f"{path}.{key}" if path else key

@@ -57,7 +57,7 @@ def require_allowed(target: str, path: str) -> None:
 
 
 def is_inside(name: str, packages: tuple[str, ...]) -> bool:
-    """Return whether a dotted name is in one of the given packages."""
+    """Return whether a dotted name is inside one of the given Python packages."""
     return any(name.startswith(f"{package}.") for package in packages)
 
 
@@ -125,7 +125,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Remove null terms from a config, add missing sections as empty ones, and return the keys of the null terms."""
+    """Remove null terms from a config, add missing sections as empty sections, and return the null terms' keys."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()

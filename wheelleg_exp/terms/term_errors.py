@@ -26,7 +26,7 @@ from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Return the mistakes in the fields that the manager reads from a term node."""
+    """Return the mistakes in those fields of a term node that the term's manager reads."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
         for name in binding.REQUIRED_FIELDS.get(section, ())

@@ -60,7 +60,7 @@ class Check:
 
     @property
     def state(self) -> State:
-        """The result of the check as a word: ``failed``, ``not checked``, ``note``, or ``ok``."""
+        """The result of the check as one of the words ``failed``, ``not checked``, ``note``, and ``ok``."""
         if self.failures:
             return "failed"
         if self.skipped is not None:
@@ -68,7 +68,7 @@ class Check:
         return "note" if self.notes else "ok"
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the result of the check."""
+        """Return the lines of text that report the result of one check of a run."""
         head = f"{self.name:<12}{self.state:<12}{self.skipped or self.text}".rstrip()
         return [head, *(f"  {line}" for line in cut(self.failures)), *(f"  note: {line}" for line in cut(self.notes))]
 

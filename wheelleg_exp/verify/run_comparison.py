@@ -141,7 +141,7 @@ def _damage_part(wrong: dict[str, list[str]]) -> Part:
 
 
 def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
-    """Return the failed checks of each run, which also find contradicting files below a manifest that was rewritten."""
+    """Return the failed checks of each run; a rewritten manifest does not hide contradictions between run files."""
     found: dict[str, list[str]] = {}
     for side, measured in (("A", a), ("B", b)):
         checks = [c for c in verify_run(measured.run).checks if span.whole or c.name in _OF_THE_SNAPSHOT]

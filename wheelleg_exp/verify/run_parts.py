@@ -49,7 +49,7 @@ class Span:
     shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if runs may differ in length.
 
     def covers(self, name: str) -> bool:
-        """Return whether a file of a run belongs to the compared iterations."""
+        """Return whether a file of a run belongs to the iterations that are compared with a second run."""
         checkpoint = CHECKPOINT.fullmatch(name)
         if self.whole or checkpoint is None:
             return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)

@@ -91,7 +91,7 @@ class Tolerance:
         return {"within": self.within, **rows, "note": self.note}
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the deviations between two runs."""
+        """Return the lines of text that report the deviations between two training runs."""
         lines = []
         for x in self.start:
             values = "" if math.isnan(x.a) else f" (A {x.a:.9g}, B {x.b:.9g})"

@@ -126,7 +126,7 @@ def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return example overrides that select another option of a Hydra config group."""
+    """Return example overrides that select a different option of a Hydra config group than the present option."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]

@@ -55,7 +55,7 @@ def print_figures(figures: StandFigures, motion: MotionFigures | None = None) ->
 
 
 def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
-    """Print the contact force on each robot link, measured while the robot stood still."""
+    """Print the contact force on each robot link that was measured while the robot stood still."""
     from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
 
     steps = _counted(rows[0].steps if rows else 0, "step")
@@ -67,7 +67,7 @@ def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
 
 
 def print_recording(path: Path | None) -> None:
-    """Print the path of a recording, and the command that opens it."""
+    """Print the path of a recording, and the command that opens the recording."""
     if path is not None:
         print(f"\nrecording: {shown(path)}\nopen it:   {tool('rerun')} {shown(path)}")
 

@@ -20,7 +20,7 @@ from wheelleg_exp.errors import printable
 
 
 class LastingStream:
-    """A text stream that ignores writes after the process that reads the stream has closed the pipe.
+    """A text stream to a pipe that ignores writes after the reading process has closed the pipe.
 
     ``losses`` contains the exception types that a write to the stream raises after the reader has closed the pipe. A
     ``styled`` stream writes escape sequences unchanged; a plain stream writes control characters as readable text.
@@ -144,8 +144,8 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the terminal, with a hanging indent.
 
-    The argument ``first`` is a label before the first line, padded with spaces to the width of the indent. If ``first``
-    is empty, the first line of the text is not indented.
+    ``first`` is a label before the first line of the text, padded with spaces to the width of the indent. With an empty
+    label ``first``, the first line of the text is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""

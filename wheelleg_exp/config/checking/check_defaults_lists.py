@@ -242,7 +242,7 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term lists whose order differs from the order of the composed terms.
+    """Find defaults lists whose order of terms differs from the order of the terms in the composed config.
 
     A file that sets a parameter of a term before the term's own file is mounted changes the order of terms.
     """

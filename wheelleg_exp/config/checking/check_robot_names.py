@@ -1,4 +1,4 @@
-"""Check the names of joints, bodies, and sensors in a config against the robot and the scene."""
+"""Check whether the joints, bodies, and sensors that a config names exist in the robot and the scene."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield the section, the config path, and the node of every term in the config."""
+    """Yield the config section, the config path, and the config node of every term in the config."""
     for section in binding.RESERVED:
         nodes = section_at(config, f"env.{section}")
         if section == "observations":

@@ -79,7 +79,7 @@ class _TolerantRepository(Repository):
 
 
 class TolerantLoader(Loader):
-    """A Hydra loader that ignores the files and overrides of a ``Leniency``."""
+    """A Hydra loader that ignores the config files and overrides that a ``Leniency`` lists."""
 
     def __init__(self, config_dirs: Sequence[Path], leniency: Leniency) -> None:
         super().__init__(config_dirs)
@@ -98,8 +98,8 @@ def check(composed: Composed) -> list[ConfigError]:
     """Return every mistake in a composed config that can be found without a simulation.
 
     The checks cover keys, types, ranges, targets, parameters, unselected terms, the classes and observation groups of
-    the agent, names of joints and bodies, and the config files. Each error contains the file and line, or the override,
-    of the value.
+    the agent, names of joints and bodies, and the config files. Each returned error contains the file and line, or the
+    override, of the wrong value.
     """
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
@@ -329,7 +329,7 @@ class _Search:
 def find_mistakes(
     overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()
 ) -> tuple[Composed | None, list[ConfigError]]:
-    """Compose and check a config. Return the config and all mistakes; the config is None if Hydra cannot compose it.
+    """Compose and check a config, and return the config (None if Hydra cannot compose it) and all mistakes.
 
     If a wrong override or a broken file stops Hydra, ``find_mistakes`` drops it and checks the remaining config. The
     returned mistakes include no consequences of a dropped override or file.

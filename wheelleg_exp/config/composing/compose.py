@@ -47,7 +47,7 @@ _ANY_SETTING = "a key of the config; of Hydra's settings, only hydra.searchpath 
 
 
 def is_unread(key: str) -> bool:
-    """Return whether a key, group, or override is one of Hydra's own settings, which this program ignores."""
+    """Return whether a config key, group, or override is one of Hydra's own settings, which this program ignores."""
     found = _KEY.match(key)
     return found is not None and not _READ.match(found[1])
 
@@ -133,7 +133,7 @@ class Composed:
 
     @property
     def files(self) -> list[Path]:
-        """The config files from which the config was composed."""
+        """The paths of the config files from which Hydra composed the config."""
         return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
@@ -187,7 +187,7 @@ def compose(
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
-    """Return overrides as a list. If ``overrides`` is a single string, the string is treated as one override."""
+    """Return overrides as a list. A single string ``overrides`` is treated as one override."""
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 

@@ -88,7 +88,7 @@ class SweepJob:
 
 @dataclass(frozen=True)
 class Sweep:
-    """The jobs of a sweep, in Hydra's order, and their launcher.
+    """The jobs of a sweep, in Hydra's order, and the Hydra launcher that starts the jobs.
 
     ``n_jobs`` is the number of jobs that run at once, as joblib counts: -1 means one job per core, -2 one job less. For
     a job queue, ``n_jobs`` is the number of submitted jobs. ``multirun`` is the config that Hydra composes for the

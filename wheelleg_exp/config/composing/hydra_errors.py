@@ -32,7 +32,7 @@ class NowhereMounted(ConfigError):
 
 
 def where_of(override: Override) -> str:
-    """Return the text for ``ConfigError.where`` if an override caused the error."""
+    """Return the text for the field ``where`` of a ConfigError that an override caused."""
     return f"override {override.input_line}"
 
 

@@ -50,7 +50,7 @@ class Alternatives:
 
 
 def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
-    """Return the values that the config key ``keys`` accepts."""
+    """Return the valid values of the config key ``keys``."""
     node = at(tree, keys)
     below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
     unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
@@ -214,7 +214,7 @@ def complete_override(
 def complete_key(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the keys of sections and values, and the config groups, whose names start with ``word``."""
+    """Return the config keys and the config groups whose names start with ``word``."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []

@@ -128,7 +128,7 @@ def tasks(config_dirs: Sequence[Path] = ()) -> list[Entry]:
 
 
 def groups(config_dirs: Sequence[Path] = ()) -> list[str]:
-    """Return the names of the config groups."""
+    """Return the names of all config groups."""
     with hydra_globals():
         return Loader(config_dirs).groups()
 

@@ -45,7 +45,7 @@ def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) 
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two plain values are equal. 1 equals 1.0, and NaN equals NaN, but True differs from 1."""
+    """Return whether two plain config values are equal. 1 equals 1.0, and NaN equals NaN, but True differs from 1."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if _is_list(a) and _is_list(b):
@@ -76,10 +76,10 @@ _LAID_OUT = ("actions", "observations")
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two configs of a comparison.
+    """One of two configs that are compared.
 
-    ``where`` returns the file and line, or the override, that set or removed a key. ``facts`` contains facts about a
-    run's code, versions, and hardware.
+    ``where`` returns the file and line, or the override, that set or removed a config key. ``facts`` contains facts
+    about a run's code, versions, and hardware.
     """
 
     label: str
@@ -90,7 +90,7 @@ class Side:
 
 @dataclass(frozen=True)
 class PlacedChange:
-    """One difference between two configs, with the place of each value.
+    """One difference between two configs, with the file and line or override of both values.
 
     ``is_term`` is true if the difference is a whole term or the order of terms. ``note`` is the effect.
     """
@@ -128,7 +128,7 @@ class Difference:
 
 
 def compare(a: Side, b: Side) -> Difference:
-    """Return the differences between two configs, without the top-level sections that only one config has."""
+    """Return the differences between two configs; skip top-level sections that only one of both configs has."""
     changes = [change for key in a.tree if key in b.tree for change in _walk(a, b, (str(key),))]
     terms = tuple(change for change in changes if change.is_term)
     return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
@@ -161,7 +161,7 @@ def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:
-    """Return whether a key is missing in one config and has its default value in the other config."""
+    """Return whether a config key is missing in one of two configs and has its default value in the second config."""
     parents = [at(side.tree, keys[:-1]) for side in (a, b)]
     if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False

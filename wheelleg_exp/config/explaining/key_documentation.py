@@ -110,7 +110,7 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 
 
 def comment_at(file: Path, line: int) -> str:
-    """Return the comment on a line of a YAML file, or the equally indented comment directly above the line.
+    """Return the comment on a line of a YAML file, or the equally indented comment directly above this line.
 
     The comment at the top of a YAML file describes the whole file. The comment at the top of a YAML file describes a
     key only if the file has exactly one key.
@@ -239,5 +239,5 @@ def parameters_in(text: str) -> dict[str, str]:
 
 
 def is_own(module: ModuleType, found: Any) -> bool:
-    """Return whether an object is defined in a module or its submodules; False if the object is only imported there."""
+    """Return whether an object is defined, not only imported, in a module or the module's submodules."""
     return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")

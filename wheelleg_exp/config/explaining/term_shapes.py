@@ -46,7 +46,7 @@ class GroupShape:
 
 @dataclass(frozen=True)
 class Shapes:
-    """The layout of a policy's inputs and outputs. ``joints`` contains the joint names in the robot's default order."""
+    """The layout of a policy's inputs and outputs; ``joints`` contains the joint names in the robot's default order."""
 
     joints: tuple[str, ...]
     observations: dict[str, GroupShape]
