@@ -116,7 +116,7 @@ class Child:
             while chunk := os.read(pipe.fileno(), _CHUNK):
                 found += chunk
             found += b"\n"
-        except BlockingIOError:  # The open pipe contains no bytes at this moment.
+        except BlockingIOError:  # The pipe is open but contains no bytes.
             found, _, self.open[pipe] = found.rpartition(b"\n")
         for raw in filter(bytes.strip, found.split(b"\n")):
             line = raw.decode(errors="replace").rstrip()

@@ -137,7 +137,7 @@ LISTED = {
         "Time from the start of the run to its end. For a resumed run: the sum of its iterations."),
 }  # fmt: skip
 
-# A run's manifest contains these keys in addition to the scalars of the last iteration.
+# The keys of a run's manifest in addition to the scalars of the last iteration.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
     "results.seconds": Definition("seconds", "s",
@@ -182,7 +182,7 @@ ROLLOUT_ABOUT = (
     "`settle_s`, of all these episodes together: an episode that ends early counts with fewer steps. The label says "
     "after how many seconds."
 )
-# The keys of this table are keys of a play's figures.json and of a run's manifest.
+# The figures of a play, by their keys in figures.json and in a run's manifest.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
     "unfinished": Definition("still running", "",
@@ -216,7 +216,7 @@ MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
     "If a figure has one value for each actuator group, its label names the group."
 )
-# The keys of this table are keys of a play's figures.json; the last three have one value for each actuator group.
+# The figures of motion, by their keys in a play's figures.json; the last three have a value per actuator group.
 MOTION = {
     "drift_m": Definition("strayed from its place", "m",
         "Largest distance in the plane from the base's position at the settling time, mean over the episodes that "
@@ -239,7 +239,7 @@ CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
     "cover the control steps at least 0.2 s after a reset in which the robot is tilted by less than 0.2 rad."
 )
-# The keys of this table are keys of a play's figures.json below `contacts.<sensor>`.
+# The figures of contacts, by their keys in a play's figures.json below `contacts.<sensor>`.
 CONTACTS = {
     "mean_n": Definition("mean", "N",
         "Mean size of the net normal force at the end of these steps; 0 without contact."),
@@ -270,7 +270,7 @@ DRIVE_ABOUT = (
     "These figures cover one robot over all control steps of the drive, including its falls and restarts. There is one "
     "drive for each selected checkpoint and each selected ground."
 )
-# The keys of this table are keys of figures.json below play/, and of manifests of the kind `drive`.
+# The figures of a drive, by their keys in a play's figures.json and in manifests of the kind `drive`.
 DRIVE = {
     "duration_s": Definition("driven", "s", "Simulated time. Pauses, and the time for which falls are shown, are out."),
     "steps": Definition("control steps", "", "Number of control steps."),

@@ -15,9 +15,9 @@ EXIT_FAILED = 3
 EXIT_INTERRUPTED = 130
 
 _ODD = re.compile(r"[^\n\t -~]")
-# Space characters of these Unicode categories are harmless, although str.isprintable rejects them.
+# The Unicode categories of space characters that are harmless, although str.isprintable rejects them.
 _SPACES = ("Zs", "Zl", "Zp")
-# A misspelled name of at least this number of letters can match a name that contains it.
+# The smallest number of letters of a wrong name that can match a valid name that contains it.
 _LEAST_PART = 4
 
 

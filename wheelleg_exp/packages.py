@@ -70,11 +70,11 @@ def _trust_file() -> Path:
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
-# A folder that contains one of these files is never a user project.
+# The files whose presence shows that a folder is not a user project.
 _RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")
 CONFIGS = "configs"
 _ROOT = 0  # the administrator's user id
-_SOURCES = ("", "src")  # The folders that can contain the packages of a project.
+_SOURCES = ("", "src")  # The folders inside a user project that can contain packages.
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def config_folder(folder: Path) -> Path:
     if absolute.is_dir():
         project = read_project(absolute)
         return project.configs if project is not None and project.configs.is_dir() else absolute
-    if str(folder) in installed_packages():  # Find the package's folder without an import of the package.
+    if str(folder) in installed_packages():  # Find the folder of an installed package without importing it.
         spec = importlib.util.find_spec(str(folder).split(".")[0])
         for place in spec.submodule_search_locations or () if spec is not None else ():
             for configs in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
@@ -260,7 +260,7 @@ def is_there(folder: str | Path) -> bool:
     """Return whether a folder exists; return False for an invalid folder name."""
     try:
         return Path(folder).is_dir()
-    except OSError:  # The folder name is invalid, for example too long.
+    except OSError:  # The name of the folder is invalid, for example too long.
         return False
 
 

@@ -19,10 +19,10 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 # The deepest allowed nesting of YAML; deeper nesting would crash the C parser before Python's recursion limit.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
-# An archive is refused if its unpacked size exceeds this factor times its packed size, plus this number of bytes.
+# The largest unpacked size of an archive, as a factor of the packed size, and additional bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
-_MOST_BITS = 1023  # The largest integer that a float can represent has this number of bits.
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # Each of these characters can start a nested value in YAML.
+_MOST_BITS = 1023  # The number of bits of the largest integer that a float can represent.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # The characters that can start a nested value in YAML.
 
 
 class Unreadable(ValueError):
@@ -140,16 +140,16 @@ def _no_number(name: str) -> Any:
 
 _SCALARS = (str, int, float, bool, type(None))
 
-# PyYAML reads a match of this pattern as text, whereas YAML 1.2 readers and OmegaConf read it as a number.
+# Matches text that PyYAML reads as text, but that YAML 1.2 readers and OmegaConf read as a number.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
-# PyYAML writes these line-end characters unchanged in single quotes, but reads each of them as a space.
+# The line-end characters that PyYAML writes unchanged in single quotes, but reads as spaces.
 _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 
 class _PlainDumper(yaml.SafeDumper):
     def ignore_aliases(self, _: Any) -> bool:
-        return True  # Write a shared value twice, so that readers of the YAML text do not need to resolve anchors.
+        return True  # Write a value that occurs twice as two copies, so that the YAML text contains no anchors.
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:

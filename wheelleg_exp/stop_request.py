@@ -29,7 +29,7 @@ class StopRequest:
 
     def check(self, agreed: bool | None = None) -> None:
         """Raise ``Interrupted`` if a stop was requested; ``agreed`` is the training processes' decision, or None."""
-        self._listen()  # Imported code may have replaced the signal handlers.
+        self._listen()  # Imported code can have replaced the signal handlers of this program.
         if self.requested if agreed is None else agreed:
             raise Interrupted
 

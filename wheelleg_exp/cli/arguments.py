@@ -60,7 +60,7 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
 def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse names optional arguments too in the error about missing arguments.
+    if missing is not None:  # argparse's error about missing arguments names even optional arguments.
         wanted = missing.group(1).split(", ")
         # Two positional arguments of a command can have equal names.
         names = [name for name in wanted if name not in optional] or wanted

@@ -19,8 +19,8 @@ from wheelleg_exp.run import run_list
 from wheelleg_exp.run.run_list import RunSummary, SweepSummary
 from wheelleg_exp.run.timestamps import utc_text
 
-_NEVER = datetime.min.replace(tzinfo=UTC)  # A run with an unknown start time gets this start time.
-_LEAST_ID = 16  # A printed run id has at least this number of characters.
+_NEVER = datetime.min.replace(tzinfo=UTC)  # The assumed start time of a run with an unknown start.
+_LEAST_ID = 16  # The smallest number of characters of a printed run id.
 _PROBLEMS_SHOWN = 10
 _LEGEND = (
     f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode ended by "
@@ -125,7 +125,7 @@ def _terms(args: argparse.Namespace) -> Listed:
     from wheelleg_exp.config.explaining.catalog import MODULES, library, signature_of
     from wheelleg_exp.terms.term_binding import RESERVED, resolve_target
 
-    # The command accepts a config group such as 'reward', and also the config section 'rewards' of this group.
+    # ``wheelleg list terms`` accepts a config group such as 'reward', and a config section such as 'rewards'.
     section = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}.get(args.group)
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)

@@ -40,7 +40,7 @@ class Command:
     module: str
     help: str
     run: str = "run"  # The name of the function that runs the command and returns the exit status.
-    project: bool = True  # Whether the command reads the configs of the project in the current folder.
+    project: bool = True  # True if the command reads the configs of the user project in the current folder.
 
 
 COMMANDS: dict[str, Command] = {
@@ -95,7 +95,7 @@ def _answer(words: list[str], debug: bool) -> int:
         return _failed("interrupted", EXIT_INTERRUPTED, debug)
     except WheellegError as error:
         return _failed(str(error), error.exit_code, debug)
-    except BaseException as error:  # A user-defined module can also raise SystemExit during its import.
+    except BaseException as error:  # A user-defined module can raise SystemExit during its import.
         hint = "" if debug else " (--debug shows the traceback)"
         return _failed(f"{in_words(error)}{hint}", EXIT_FAILED, debug)
 
@@ -140,7 +140,7 @@ def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
     """Parse command-line options and config overrides in any order; return None after ``--help`` or ``--version``."""
     try:
         return parser.parse_intermixed_args(words)
-    except SystemExit:  # Only --help and --version raise SystemExit, because Parser.error raises UsageError.
+    except SystemExit:  # Only --help and --version raise SystemExit; mistakes raise UsageError.
         return None
 
 

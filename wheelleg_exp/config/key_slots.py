@@ -27,13 +27,13 @@ from wheelleg_exp.terms.term_errors import type_hints
 
 REQUIRED = inspect.Parameter.empty
 _RSL_CLASS = "class_name"
-# A config cannot set these parameters, because rsl_rl itself passes them to its algorithms, networks, and extensions.
+# Parameters that a config cannot set, because rsl_rl passes them to algorithms, networks, and extensions.
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
 # The rsl_rl.extensions class that reads each section of ``agent.algorithm`` without a `class_name`.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
-# rsl_rl reads these config keys, although no constructor of rsl_rl has parameters with these names.
+# Config keys that rsl_rl reads, although no constructor of rsl_rl has parameters with the names of the keys.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
 # By section of a term ("": any section) and name of its parameter: the section whose terms the parameter names.

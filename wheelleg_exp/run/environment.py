@@ -21,18 +21,18 @@ import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
 from wheelleg_exp.run.git_commands import without_credentials
 
-# The versions of these Python packages can change a run's numbers or files.
+# The Python packages whose versions can change a run's numbers or files.
 _DISTRIBUTIONS = (
     *("wheelleg_exp", "mujoco", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core", "omegaconf"),
     *("usd-core", "rerun-sdk", "tensorboard", "onnx"),
 )
 
-# Environment variables with these prefixes change computed numbers or the number of threads.
+# The prefixes of environment variables that change computed numbers or the number of threads.
 _NUMERICAL = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
     *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
 )
-# Environment variables with these prefixes select the devices or the code that a process uses.
+# The prefixes of environment variables that select the devices or the code that a process uses.
 _OF_MACHINE = (
     *("TRITON", "RSL_RL", "CUDA", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
@@ -42,7 +42,7 @@ _VARIABLES = re.compile(
     rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
 
-# Environment variables whose name matches this pattern can contain secrets, so their values are not stored.
+# The pattern of names of environment variables that can contain secrets and whose values are not stored.
 _SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY")
 
 _REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
@@ -127,7 +127,7 @@ def distributions() -> list[str]:
     # For a package that was not installed from a package index, write a comment with the package's origin.
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
-        # Read only the header of each metadata file, because parsing the descriptions of 100 packages takes 1 s.
+        # Read only the header of each package's metadata, because parsing the descriptions of 100 packages takes 1 s.
         text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
         head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
         if "Name" in head:  # A broken installation of a package can lack metadata.

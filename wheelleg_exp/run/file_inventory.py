@@ -28,7 +28,7 @@ class FileRecord(TypedDict):
 class FileFindings:
     """The sorted relative paths of a run's files that differ from the run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # A file that was replaced by a symbolic link is also missing.
+    missing: list[str] = field(default_factory=list)  # Missing files, including files that a symbolic link replaces.
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)

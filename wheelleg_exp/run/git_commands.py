@@ -19,14 +19,14 @@ _TIMEOUT_S = 300
 # A git object id has 40 hexadecimal digits, or 64 in a repository that uses sha256.
 OBJECT_ID = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
 
-# These environment variables redirect a git command to another repository or index. A git hook sets some of them.
+# The environment variables, set by git hooks for example, that redirect a git command to a different repository.
 _MISLEADING = (
     *("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX"),
     *("GIT_ALTERNATE_OBJECT_DIRECTORIES", "GIT_NAMESPACE", "GIT_EXTERNAL_DIFF", "GIT_DIFF_OPTS"),
     *("GIT_LITERAL_PATHSPECS", "GIT_GLOB_PATHSPECS", "GIT_NOGLOB_PATHSPECS", "GIT_ICASE_PATHSPECS"),
 )
 
-# These git settings prevent git commands from writing into the repository and from running user-defined programs.
+# Git settings that prevent git commands from writing into the repository and from running user-defined programs.
 _SETTINGS = dict.fromkeys(("core.fsmonitor", "core.splitIndex", "core.untrackedCache", "core.safecrlf"), "false")
 _SETTINGS |= {"core.hooksPath": os.devnull, "gc.auto": "0"}
 

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# Scalars with this prefix are wall-clock times. All other scalars are equal in two equal runs.
+# The prefix of the scalars that are wall-clock times and can differ between two equal runs.
 _TIMES = "Perf/"
 
 
@@ -21,9 +21,9 @@ class Line:
     iteration: int
     digests: dict[str, str]  # by name
     scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
-    digest_format: int | None = None  # The version of the algorithm of the digests.
+    digest_format: int | None = None  # The version of the algorithm that computes hashes.
     content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
-    end: int = 0  # The position in the log file after this line, in bytes.
+    end: int = 0  # The position of the log line's end in the log file, in bytes.
 
 
 @dataclass(frozen=True)

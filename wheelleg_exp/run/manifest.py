@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # In manifest format 1, the hash covers the values, not the bytes.
+FORMAT_WITH_VALUE_DIGEST = 1  # In manifest format 1, the hash covers the values, not the file's bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -145,17 +145,17 @@ def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# A run writes these files only before its first step; all other files of the run can grow during the training.
+# The files that a run writes only before its first step; all other files of the run can grow during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
-# A resume replaces these manifest keys and stores their old values in ``resumes``.
+# The manifest keys that a resume replaces, and whose old values the resume stores in ``resumes``.
 _PROCESS_KEYS = (
     *("status", "error", "ended", "process", "versions", "hardware", "threads", "environment_variables"),
     "files",
 )
 
 _LOCK_TIMEOUT_S = 20.0
-# A resume's entry in the manifest has this key until the resume has written the changed snapshot files.
+# The key that a resume's entry in the manifest has until the resume has written the changed snapshot files.
 _PENDING = "files_to_write"
 
 
@@ -373,7 +373,7 @@ class Manifest:
         """Return the newest size and hash of every file of the run, including files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        # At its end, a run records all its files, so newer records exist only for files that later commands added.
+        # A run records all its files when the run ends, so newer records exist only for files of later commands.
         earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
         later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}

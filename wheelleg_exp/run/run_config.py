@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from omegaconf.base import Container
 
 PARTS = ("env", "agent")
-# A trained policy depends on these keys of ``agent``. The remaining keys of ``agent`` affect only the training.
+# The keys of ``agent`` on which a trained policy depends; the remaining keys of ``agent`` affect only training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
@@ -68,7 +68,7 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
     """Convert an environment's parameters from the format of an older version of the program to the current format."""
     # The parameters of a run can be in the format of an older version of wheelleg_exp.
-    # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and only one engine existed.
+    # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
         return dict(env)  # The check of the config reports a value of the wrong type.
@@ -100,13 +100,13 @@ def _load_mapping(path: Path) -> dict[str, Any]:
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-# The run directory stores these config sections only with unresolved interpolations.
+# The config sections that a run directory stores only with unresolved interpolations.
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
-_MAX_STEPS = 10_000  # At most this number of interpolations is resolved in one config.
-_MAX_LETTERS = 100_000  # The texts with interpolations have at most this number of letters in total.
+_MAX_STEPS = 10_000  # The largest number of interpolations that are resolved in one config.
+_MAX_LETTERS = 100_000  # The largest total number of letters of the texts with interpolations.
 _NO_DEFAULT = object()
-# A recorded override must not be an option or a setting of Hydra itself, and must not call a resolver.
+# Matches an option, a setting of Hydra itself, or a resolver call, none of which is allowed in recorded overrides.
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
@@ -154,7 +154,7 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
     """Raise RunDirectoryError, which names the file ``path``, unless each word in this file is a config override."""
-    # A config is composed from the words in this untrusted file of a run.
+    # The overrides that a run stores are not trusted, although a config is composed from them.
     # Words that are command options, set Hydra's own settings, or call OmegaConf resolvers raise an error.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):

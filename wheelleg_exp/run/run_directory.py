@@ -20,7 +20,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entrie
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
-# The task name and ``run.name`` must match this pattern, because both are parts of a run directory's path.
+# The pattern of a task name and of ``run.name``, which are parts of a run directory's path.
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
@@ -69,9 +69,9 @@ LATEST, AGENTS, SWEEPS = "latest", "agents", "sweeps"
 REPLAYS, PIPELINES = "replays", "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
-FAILURE = "failure.npz"  # This file contains the simulation state that made a training fail.
+FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
-# The environment and agent of a run can be rebuilt from these files.
+# The files from which the environment and agent of a run can be rebuilt.
 NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
 
 
@@ -148,18 +148,18 @@ class RunDirectory(os.PathLike[str]):
         above = self.path.parent.parent
         return above.parent if above.name in (AGENTS, REPLAYS) else above
 
-    params = _PathInside("params")  # This folder contains the parameter files ``env.yaml`` and ``agent.yaml``.
-    hydra = _PathInside(".hydra")  # This folder contains the files that Hydra writes.
-    source = _PathInside("source")  # This folder contains the recorded state of the source code.
-    asset = _PathInside("asset")  # This folder contains the robot's model files.
-    exported = _PathInside("exported")  # This folder contains the exported policies.
-    play = _PathInside("play")  # This folder contains the recordings of plays after the training.
-    videos = _PathInside("videos")  # This folder contains the videos of the training.
-    dataset = _PathInside("dataset")  # This folder contains the episodes that recorders saved during the training.
-    evaluation = _PathInside("evaluation")  # This folder contains the evaluation results.
-    recording = _PathInside("recording.rrd")  # This file contains the recording of the training.
-    iterations = _PathInside("iterations.jsonl")  # This file contains one line of JSON for each training iteration.
-    environment = _PathInside("environment.txt")  # This file lists the installed Python distributions.
+    params = _PathInside("params")  # The folder with the parameter files ``env.yaml`` and ``agent.yaml``.
+    hydra = _PathInside(".hydra")  # The folder with the files that Hydra writes.
+    source = _PathInside("source")  # The folder with the recorded state of the source code.
+    asset = _PathInside("asset")  # The folder with the robot's model files.
+    exported = _PathInside("exported")  # The folder with the exported policies of a run.
+    play = _PathInside("play")  # The folder with the recordings of plays after the training.
+    videos = _PathInside("videos")  # The folder with the videos of the training.
+    dataset = _PathInside("dataset")  # The folder with the episodes that recorders saved during the training.
+    evaluation = _PathInside("evaluation")  # The folder with the results of a run's evaluations.
+    recording = _PathInside("recording.rrd")  # The file with the recording of the training.
+    iterations = _PathInside("iterations.jsonl")  # The file with one line of JSON for each training iteration.
+    environment = _PathInside("environment.txt")  # The file that lists the installed Python packages.
 
     def manifest(self) -> Manifest:
         """Read the manifest of the run; raise RunDirectoryError if the manifest is missing or damaged."""

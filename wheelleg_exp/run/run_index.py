@@ -114,8 +114,7 @@ class SweepIndex(_RunIndex):
     ``ended``, ``process``, ``launcher`` and ``jobs``. A sweep's ``status`` is ``running``, ``finished``,
     ``interrupted``, or ``failed`` if a job did not finish. A job of a sweep has ``number`` (from 1), ``overrides`` (all
     overrides of the job), ``swept`` (the overrides in which jobs differ), ``status``, ``run`` (path relative to the
-    index), ``started``, ``ended``, ``results`` and ``error``. A sweep job that never started has the status
-    ``waiting``.
+    index), ``started``, ``ended``, ``results`` and ``error``. A job that never started is ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -184,8 +183,8 @@ class PipelineIndex(_RunIndex):
     ``working_directory``, ``config_dirs``, ``root``, ``overrides`` (of all phases), ``started``, ``ended``,
     ``process``, ``resumes``, ``config`` (the declared pipeline) and ``phases``. A pipeline's ``status`` is ``running``,
     ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not pass. A phase has ``name``, ``status``,
-    ``why`` (the reason to continue or stop), ``digest`` (hash of the config), ``run`` and ``init_from`` (paths relative
-    to the index), ``trained`` (finished iterations), ``gates`` (result of each evaluation), ``started`` and ``ended``.
+    ``why`` (reason to continue or stop), ``digest`` (config hash), ``run`` and ``init_from`` (paths relative to the
+    index), ``trained`` (finished iterations), ``gates`` (evaluation results), ``started`` and ``ended``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES

@@ -30,7 +30,7 @@ CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # Every line of the file iterations.jsonl has fewer bytes than this.
+_TAIL_BYTES = 65536  # More bytes than any line of the file iterations.jsonl has.
 # The performance figures of a training, and the names of the logged scalars that contain these figures.
 FIGURES = {
     "return": "Train/mean_reward",
@@ -51,7 +51,7 @@ class RunSummary:
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # Why the run failed or is damaged, or how many episodes NaN or inf ended.
+    problem: str | None = None  # The run's failure or damage, or its number of NaN episodes.
     failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
     iterations: int | None = None  # finished iterations
@@ -64,13 +64,13 @@ class RunSummary:
     evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
     seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume.
-    bytes: int | None = None  # The total size of the files directly in the run directory.
+    bytes: int | None = None  # The total size of the files directly in a run directory.
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
     """Return a summary of every run below ``root``, the newest first; return no runs if ``root`` does not exist."""
     folders = run_folders(Path(root))
-    # A run that was killed at its start has a folder with the name of a run directory, but no manifest.
+    # A run that was killed at its start has a run directory without a manifest.
     for folder in (folder for task in task_folders(Path(root)) for folder in task.iterdir()):
         if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
             folders.append(folder)

@@ -12,7 +12,7 @@ from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nu
 _SHOWN_REASONS, _SHOWN_PATHS = 5, 3
 _ABSENT = "000000"
 
-State = str | None  # The state of a path is its git mode and blob id, or None if the tree has no such path.
+State = str | None  # The state of a path is the path's git mode and blob id, or None if the git tree lacks the path.
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ _RECORD = {
 }
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
-# With these git settings, git does not convert line ends and does not download Git LFS files.
+# Git settings with which git neither converts line ends nor downloads Git LFS files.
 _SETTINGS = {"core.autocrlf": "false", "core.eol": "lf", "core.hooksPath": os.devnull, "filter.lfs.required": "false"}
 _SETTINGS |= dict.fromkeys(("filter.lfs.smudge", "filter.lfs.clean", "filter.lfs.process"), "")
 
@@ -65,7 +65,7 @@ def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
     """Return the first given folder whose git repository contains the recorded commit; None without a commit."""
-    # If no folder contains the commit, the error names the git command that fetches the commit.
+    # If no folder contains the recorded commit, the error names the git command that fetches the commit.
     commit = record["commit"]
     if commit is None:
         return None

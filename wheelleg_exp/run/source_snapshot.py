@@ -27,8 +27,8 @@ from wheelleg_exp.run.source_changes import state
 SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
-# A record with the status "ok" or "no_commits" has a patch that restores the source tree.
-# A record with any other status has a note that says why the source tree was not stored.
+# A source record with the status "ok" or "no_commits" has a patch that restores the source tree.
+# A source record without a patch has a note that says why the source tree was not stored.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
@@ -207,7 +207,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
         record["commit"] = commit
         record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
         record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
-        # Store the URL of the current branch's remote, otherwise of ``origin``, otherwise of the first remote.
+        # Store the URL of the current branch's git remote, otherwise of ``origin``, otherwise of the first git remote.
         names = repository.text("remote").splitlines()
         tracked = repository.maybe("config", f"branch.{record['branch']}.remote") if record["branch"] else None
         chosen = next((name for name in (tracked, "origin", *names) if name in names), None)
@@ -272,7 +272,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
     """Return the untracked files that can and that cannot be stored; skip run directories and ignored files."""
-    # Skip a file to which this process prints, because the file grows during the run.
+    # Skip a file to which the process prints its output, because the file grows during the run.
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
     paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
@@ -324,7 +324,7 @@ def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
 
 def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCaptured]:
     """Add all files of the working tree to a temporary git index; return the changed files that git cannot read."""
-    # Make git compare the files that the user marked with assume-unchanged or skip-worktree.
+    # Make git compare even the files that the user marked with assume-unchanged or skip-worktree.
     tagged = [(entry[0], entry[2:]) for entry in scratch.paths("ls-files", "-v", "-z")]
     here = [(tag, path) for tag, path in tagged if os.path.lexists(scratch.top / path)]
     assumed = [path for tag, path in here if tag.islower()]

@@ -58,7 +58,7 @@ def complete_snapshot(
     max_patch_mb: float | None = None,
 ) -> None:
     """Write the second part of the snapshot, after parameters and configs: source and distributions."""
-    # A run whose manifest lacks these keys was killed before its first step. A resume adds the missing keys.
+    # The manifest of a run that was killed before its first step lacks facts about the source; a resume adds them.
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))

@@ -97,7 +97,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         if not isinstance(value, (list, tuple)):
             return [_wrong_type(value, annotation)]
         return _of_elements(value, annotation, kind, arguments)
-    # A parameter that is an object needs a ``_target_`` node. The module config_sections checks config sections.
+    # A parameter that is an object needs a ``_target_`` node; the module config_sections checks config sections.
     built = isinstance(value, Mapping) and "_target_" in value
     if built or not (isinstance(kind, type) and dataclasses.is_dataclass(kind)) or isinstance(value, kind):
         return []

@@ -21,7 +21,7 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# The subpackages of this package that a config can call: terms, noise, entities, actuators, and sensors.
+# The subpackages of wheelleg_exp that a config can call: terms, noise, entities, actuators, and sensors.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
@@ -95,17 +95,17 @@ FIELD_TYPES: dict[str, Any] = {
     "delay": Annotated[Sequence[Natural], Ordered()] | None,
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
-# Events can have user-defined modes. A mode that is nearly equal to a known mode is treated as a misspelling.
+# A user-defined event mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
 # The fields of event terms that have an effect only in one mode, and the name of this mode.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
-# The arguments that a manager passes to every target. A config must not contain these arguments.
+# The arguments that a manager passes to every target, and that a config must not contain.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
 _CFG_ENV = ["cfg", "env"]  # the parameters of the constructors of classes that were written for Isaac Lab
 
-# Old paths of targets, as in configs and runs of earlier versions, and the current paths.
+# Old paths of targets in configs and runs of earlier versions, and the current paths of the same targets.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
 
 

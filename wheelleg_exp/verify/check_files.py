@@ -45,7 +45,7 @@ class Subject:
 
 
 State = Literal["ok", "note", "failed", "not checked"]
-_SHOWN = 10  # One check prints at most this number of lines.
+_SHOWN = 10  # The largest number of lines that one check prints.
 
 
 @dataclass(frozen=True)
@@ -112,11 +112,11 @@ def cut(lines: Iterable[str]) -> list[str]:
     return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
 
 
-# Commands treat files with these names as parts of a run, even if the manifest does not list the files.
+# The names of files that commands treat as parts of a run, even if the manifest does not list the files.
 _READ_BY_COMMANDS = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
 )
-# A training writes files with these names until the run ends, and only then records their hashes in the manifest.
+# The names of files that a training writes until it ends, and only then records in the manifest.
 _GROWING = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )

@@ -29,7 +29,7 @@ from wheelleg_exp.verify import check_files
 from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
 from wheelleg_exp.verify.run_differences import changes_text, plain_changes
 
-# The values of these OmegaConf resolvers depend on the computer or on the time.
+# The OmegaConf resolvers whose values depend on the computer or on the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
 
 

@@ -17,8 +17,8 @@ class Divergence:
     """The first difference between two runs."""
 
     iteration: int | None  # The training iteration of the difference; None for a difference in settings.
-    part: str  # The part that differs; ``files`` means a missing or damaged file.
-    name: str  # The first key, digest, scalar, tensor, or entity that differs.
+    part: str  # The part of the runs that differs; ``files`` means a missing or damaged file.
+    name: str  # The first key, hash, scalar, tensor, or entity that differs between two runs.
     a: Any = None  # The value of ``name`` in run A; None if ``name`` has several values.
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
@@ -77,7 +77,7 @@ def _of_pair(pair: Pair, details: dict[str, Any]) -> Divergence:
     return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, details)
 
 
-_FACTS = 12  # At most this number of differences between the environments of two runs is printed.
+_FACTS = 12  # The largest number of printed differences between the environments of two runs.
 
 
 def divergence_lines(first: Divergence) -> list[str]:

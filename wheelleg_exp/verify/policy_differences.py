@@ -27,7 +27,7 @@ from wheelleg_exp.verify.run_parts import Part, some
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
-_MOST_LEAVES = 50  # At most this number of differences between two checkpoints is stored.
+_MOST_LEAVES = 50  # The largest number of stored differences between two checkpoints.
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ _EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
 # Ignore the numbers that TorchScript adds to class names, because they depend on the order of scripting.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# These pickle operations contain only the protocol version and memo positions, but no values.
+# The pickle operations that contain only the protocol version and memo positions, but no values.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 

@@ -20,7 +20,7 @@ from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_t
 from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
-_OF_THE_SNAPSHOT = ("params", "source", "asset")  # These checks of ``verify_run`` cover the input files of a run.
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # The checks of ``verify_run`` for the input files of a run.
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
@@ -33,7 +33,7 @@ class Comparison:
     verdict: Verdict
     reason: str  # A sentence that explains whether two runs count as equal.
     first_divergence: Divergence | None
-    iterations: int  # The number of compared iterations.
+    iterations: int  # The number of compared training iterations.
     settings: list[Change]
     robot: list[Change]
     parts: dict[str, Part]

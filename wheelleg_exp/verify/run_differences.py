@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
-# These settings change files, speed, or buffer sizes, but no computed number; a too small buffer raises an error.
+# Settings that change files, speed, or buffer sizes, but no computed number; a too small buffer raises an error.
 _HARMLESS: tuple[Keys, ...] = (
     *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
     *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
@@ -121,7 +121,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
-_WIDEST = 40  # A printed config value is cut to this number of characters.
+_WIDEST = 40  # The largest number of characters of a printed config value.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
@@ -147,20 +147,20 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # This fact is unknown before the import of torch.
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # The fact that is unknown before the import of torch.
 
 
 @dataclass(frozen=True)
 class FactDifference:
     """One recorded fact that differs between two runs."""
 
-    section: str  # A section of the manifest, or ``code``, ``resumed``, or ``distributions``.
+    section: str  # The manifest section of the fact, or ``code``, ``resumed``, or ``distributions``.
     name: str
-    a: Any  # The value in run A; a list of values if a resume changed the value.
+    a: Any  # The fact's value in run A; a list of values if a resume changed the fact.
     b: Any
-    allows: str | None = None  # Why the fact can change the last digits of numbers; None if it cannot.
-    forbids: bool = False  # True if the fact can change numbers by any amount, like different code.
-    note: str = ""  # A description of how the fact differs.
+    allows: str | None = None  # Why the differing fact can change last digits; None if it cannot.
+    forbids: bool = False  # True if the differing fact, such as code, can change numbers by any amount.
+    note: str = ""  # A text that describes how the fact differs between two runs.
 
 
 def environment_differences(

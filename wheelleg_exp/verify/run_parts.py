@@ -45,7 +45,7 @@ class Span:
 
     until: int
     whole: bool  # True if all iterations of both runs are compared.
-    closed: bool  # True if ``whole`` is true and neither of the two runs was killed.
+    closed: bool  # True if ``whole`` is true and neither of the compared runs was killed.
     shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if runs may differ in length.
 
     def covers(self, name: str) -> bool:
@@ -87,7 +87,7 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 State = Literal["equal", "different", "not compared"]
 Sides = tuple[Measured, Measured]  # The two compared runs A and B.
 
-_TIME = "seconds"  # Results with this suffix are durations, which differ even between equal runs.
+_TIME = "seconds"  # The suffix of results that are durations, which differ even between equal runs.
 
 
 @dataclass(frozen=True)

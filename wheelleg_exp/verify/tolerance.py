@@ -32,8 +32,8 @@ from wheelleg_exp.run.iteration_log import Line
 
 START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # The end test is applied only to runs with at least this number of iterations.
-_TINY = 1e-9  # Magnitudes below this number count as zero, because tiny means are rounding errors.
+_SHORTEST = 50  # The smallest number of iterations of runs to which the end test is applied.
+_TINY = 1e-9  # The smallest magnitude that counts as different from zero; smaller means are rounding errors.
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Excess:
     """The values of one number in two runs, their deviation, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # The iteration of the number; None for a mean over the last iterations.
+    iteration: int | None  # The training iteration of the number; None for a mean over iterations.
     a: float
     b: float
     off: float  # The deviation between two runs: relative in the start test, absolute in the end test.
@@ -64,7 +64,7 @@ class Tolerance:
 
     start: list[Excess]  # The largest deviations in the first iteration in which two runs differ.
     end: list[Excess]  # The deviations of the final return and episode length.
-    note: str = ""  # A note that says what was not compared.
+    note: str = ""  # A text that says what was not compared in two runs.
     needs_end: bool = False  # True if two runs must pass the end test.
 
     @property

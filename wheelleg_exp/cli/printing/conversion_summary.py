@@ -17,10 +17,10 @@ from wheelleg_exp.errors import printable
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
 
-ROWS = 15  # At most this number of rows is printed for a table or list.
-JOINTS = 40  # At most this number of joints is printed for one robot.
-WIDTH = 60  # A printed table cell has at most this number of characters.
-NAMED = 6  # A list that is printed on one line has at most this number of names.
+ROWS = 15  # The largest number of printed rows of a table or list.
+JOINTS = 40  # The largest number of printed joints of one robot.
+WIDTH = 60  # The largest number of characters in a printed table cell.
+NAMED = 6  # The largest number of names in a list that is printed on one line.
 LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
 VERDICTS = {"good": "converted without doubts", "check": "converted, check the result:", "doubtful": "DOUBTFUL:"}
 
@@ -153,7 +153,7 @@ def _shortly(value: Any) -> str:
 
 
 def _left_out(report: Report) -> None:
-    # Print last the left-out items that do not affect the robot's motion.
+    # At the end, print the left-out items that do not affect the robot's motion.
     harmless = ("declared without", "a note of", "there is one")
     items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
     if items:

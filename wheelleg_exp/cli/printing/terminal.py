@@ -99,8 +99,8 @@ def shown(path: Path) -> str:
 
 PLAIN_WIDTH = 100
 _GAP = 2  # The number of spaces between two columns of a table.
-_LEAST_WRAPPED = 12  # A wrapped table cell has at least this number of characters per line.
-_MOST_LINES = 3  # A wrapped table cell has at most this number of lines.
+_LEAST_WRAPPED = 12  # The smallest number of characters per line of a wrapped table cell.
+_MOST_LINES = 3  # The largest number of lines in a wrapped table cell.
 _INDENT = "    "
 
 Row = Sequence[object]
@@ -190,7 +190,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
     """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines."""
-    # Narrow the columns with long titles first, and then the widest columns.
+    # Narrow the table columns with long titles first, and then the widest columns.
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]
     below_titles = [max([pieces[i], *(len(row[i]) for row in rows[1:])]) for i in columns]

@@ -65,7 +65,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
-    # Report the mistakes in a term's parameters only if the term's target is valid in this section.
+    # Report the mistakes in a term's parameters only if the term's target is valid in the term's section.
     wrong = _section_errors(section, term) or _kind_errors(section, term, target)
     return errors + (wrong or parameter_errors(section, term, target))
 

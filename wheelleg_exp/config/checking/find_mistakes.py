@@ -65,7 +65,7 @@ class _TolerantRepository(Repository):
             self._leniency.failed = config_path
             raise
         if result is not None and result.defaults_list:
-            # The name of a group without a leading slash is relative to the folder of the file.
+            # The name of a config group without a leading slash is relative to the folder of the config file.
             parent = config_path.rpartition("/")[0]
             result.defaults_list = [d for d in result.defaults_list if not self._is_unused(d, parent)]
         return result
@@ -89,7 +89,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Reuse the repository that the parent class creates, because its search path is complete.
+        # Reuse the Hydra repository that the parent class creates, because its search path is complete.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -122,7 +122,7 @@ def check(composed: Composed) -> list[ConfigError]:
         + _check_robot(config, composed.asset_roots)
     )
     errors += [error for error in found if not follows_from(error, hidden)]
-    # Add the file and line, or the override, to each config error, and remove repeated errors.
+    # Add the file and line, or the override, of the wrong value to each config error, and remove repeated errors.
     errors = lists.blame_mounts(_first_causes(errors), composed, files)
     seen: dict[tuple[str | None, ...], ConfigError] = {}
     for error in errors:
@@ -253,7 +253,7 @@ class _Search:
     primary: str
     folders: tuple[Path, ...]
     found: list[ConfigError] = field(default_factory=list)
-    # The config keys whose content is unknown, because the broken file that sets the keys is ignored.
+    # The config keys whose content is unknown, because the broken file that sets these keys is ignored.
     lost: list[str] = field(default_factory=list)
     leniency: Leniency = field(default_factory=Leniency)
     loader: TolerantLoader | None = None
@@ -281,7 +281,7 @@ class _Search:
             self.overrides = kept
             return True
         if blamed:
-            return False  # The error concerns several words that do not form one override.
+            return False  # The error is about several words that do not form one override.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:

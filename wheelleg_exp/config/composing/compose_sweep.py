@@ -67,7 +67,7 @@ def _is_installed(module: str) -> bool:
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m adds this override of hydra.mode.
+_MULTIRUN = "hydra.mode=MULTIRUN"  # The override that Hydra's option -m adds.
 
 Progress = Callable[[int, int], None]
 

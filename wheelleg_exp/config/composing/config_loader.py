@@ -156,7 +156,7 @@ class Repository(CachingConfigRepository):
                         "this package line of the file has no effect", key=key, where=where, expected=expected
                     )
                 content = OmegaConf.to_container(result.config, resolve=False)
-                # Copy the content of each file now, because Hydra changes config objects while it composes.
+                # Copy each file's content, because Hydra changes the config objects while it composes the config.
                 self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
                 self.cache[f"config_path={config_path}"] = result
         return super().load_config(config_path)

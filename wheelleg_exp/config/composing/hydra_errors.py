@@ -349,7 +349,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
-    # The table KEYS also contains optional keys, which can be missing in all config files.
+    # Optional keys in the table KEYS can be missing in all config files.
     if key in KEYS and not override.is_delete() and lookup.at(shown, split_path(key)[:-1]) is not None:
         expected = "+" + str(override.input_line).lstrip("+")
         return AbsentKey("no file of the task sets this key", key=key, where=where, expected=expected)

@@ -85,7 +85,7 @@ class Provenance(Mapping[str, Source]):
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Stop before a top-level key, whose first place does not help users because many files set its values.
+        # Stop before a top-level key, because many files set its values and their first place does not help users.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -143,7 +143,7 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # If a key is added to an empty mapping, the mapping does not count as replaced.
+    # An empty config mapping to which a key is added does not count as replaced.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 

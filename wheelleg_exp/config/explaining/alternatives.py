@@ -114,7 +114,7 @@ def siblings(target: str) -> list[str]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # `wheelleg check` reports why the module cannot be imported.
+    except Exception:  # `wheelleg check` reports why a module cannot be imported.
         return []
     return [
         f"{module_name}.{name}"
@@ -127,7 +127,7 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # At most this number of composed configs is cached.
+_MOST_VIEWS = 32  # The largest number of cached composed configs.
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    from wheelleg_exp.config.composing.compose import compose  # The import loads Hydra, unneeded with a cached answer.
+    from wheelleg_exp.config.composing.compose import compose  # Import Hydra only if no answer is cached.
 
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):

@@ -63,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# The effect of a different order of terms, for each section in which the order of terms has an effect.
+# The effect of a different order of terms, for each config section whose order of terms has an effect.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -140,7 +140,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # The section is None if the node contains no terms.
+    section = key_slots.section_of((*keys, "any"))  # The section is None for a config node without terms.
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
@@ -184,7 +184,7 @@ def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
-            continue  # Equal git trees contain equal files, even if their commits differ.
+            continue  # Equal git trees contain equal files, even in different commits.
         for name in one:
             if name in other and not same(one[name], other[name]):
                 yield FactChange(section, name, one[name], other[name])

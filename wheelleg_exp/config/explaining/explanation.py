@@ -57,7 +57,7 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # source.line is the line of one value, but the comment on a mapping is at the line of the mapping's key.
+            # The line of a source is that of one value, but a mapping's comment is at the line of the mapping's key.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -249,7 +249,7 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
     named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
-    # In a mapping that accepts any name, a key that is similar to an existing key is treated as misspelled.
+    # In a config mapping that accepts any name, a key that is similar to an existing key counts as misspelled.
     near = nearest_name(keys[-1], map(str, parent)) if isinstance(parent, Mapping) and not named else None
     has_place = bool(named) or (isinstance(parent, Mapping) and near is None)
     if slot is None or not has_place or key_slots.section_of(keys) is not None:
