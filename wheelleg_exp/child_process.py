@@ -1,8 +1,8 @@
 """Start, serve, and end child processes: jobs, workers, and other programs.
 
 A job trains or evaluates. The child process reads one line with a request from standard input, and writes each event as
-one line of JSON to standard output. A job in a child process stops at the end of its standard input, and thus even if
-the parent process is killed. Each line on a child process's standard error reaches the parent process as a ``note``
+one line of JSON to standard output. A job in a child process stops when its standard input ends, for example because
+the parent process was killed. Each line on a child process's standard error reaches the parent process as a ``note``
 event.
 
 A worker process reads pickled requests from standard input, and answers each with bytes, until the input ends.
@@ -293,7 +293,7 @@ class Worker:
         return b""
 
     def last_line(self) -> str:
-        """Return the last line on the worker's standard error, or its exit status if there is no line."""
+        """Return the last line on the worker's standard error, or the worker's exit status if there is no line."""
         self._errors.seek(0)
         lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"

@@ -42,7 +42,7 @@ def require_memory(need: int, key: str, what: str) -> None:
 
 
 def used_memory(kind: str) -> int | None:
-    """Return a memory size of this process in bytes, by its name in the file ``/proc/self/status``; None without it."""
+    """Return a memory size of this process in bytes, by the size's name in ``/proc/self/status``; None if unknown."""
     try:
         text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{kind}:"))
@@ -113,7 +113,7 @@ def spins() -> str:
 
     If idle threads sleep immediately, a policy update with many short operations takes twice as long. Threads in busy
     loops slow each other down: two simultaneous trainings would take four times as long. Idle threads wait in a busy
-    loop only while this is the only process that computes.
+    loop only if enough CPU cores are free.
     """
     try:
         running = []
@@ -152,7 +152,7 @@ def share_cores() -> None:
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:
-    """Use the MKL code path that a run recorded, if this CPU supports it and the user has not chosen a code path.
+    """Use the MKL code path recorded with a run, unless this CPU lacks the path or the user has chosen a path.
 
     Call ``keep_kernels`` before the first use of MKL, for example before the import of tensordict.
     """

@@ -7,8 +7,8 @@ imported. A package that a project declares is imported only if a config names a
 project does not declare cannot be imported from the project.
 
 The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
-run is used only if it leads to the current project, or to a folder that the user has named with ``--config-dir``. Only
-``cli/main.py`` adds trusted folders, because only ``cli/main.py`` knows the user's command line.
+run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
+Only ``cli/main.py`` adds trusted folders, because only ``cli/main.py`` knows the user's command line.
 """
 
 from __future__ import annotations
@@ -230,8 +230,7 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
     """Allow configs to call the packages of the given config folders or, if none is given, of a run's recorded folders.
 
     This function is the one rule for every record: a recorded folder is used only if it exists and is the current
-    project's or trusted. Recorded config folders that are not trusted are ignored (see ``left_out``), because they may
-    not be needed.
+    project's or trusted. Recorded config folders that are not trusted are ignored (see ``left_out``).
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:

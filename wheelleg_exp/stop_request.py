@@ -12,7 +12,7 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 def stop_signals() -> list[signal.Signals]:
-    """Return the signals that ask this program to stop, except those that it ignores because of ``nohup`` or ``&``."""
+    """Return the signals that ask this program to stop, except signals ignored because of ``nohup`` or ``&``."""
     numbers = [signal.Signals[name] for name in _NAMES if hasattr(signal, name)]
     return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
 

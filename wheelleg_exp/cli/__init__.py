@@ -1,4 +1,4 @@
-"""Run the console script ``wheelleg``. Each command of ``wheelleg`` is one module; only this package prints.
+"""Run the console script ``wheelleg``. Each command of ``wheelleg`` is one module of the package ``cli``.
 
 | module | contents |
 |---|---|

@@ -118,7 +118,7 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the requested actions; if there are none, print a recording's summary or the statistics of ``--term``."""
+    """Run the requested actions; if no action is requested, print a recording's summary or statistics of ``--term``."""
     from wheelleg_exp.inspection.recording_target import find_target
 
     default = "stats" if args.term else "summary"

@@ -105,8 +105,8 @@ def replay_environ(
     """Return the environment variables for a process that must compute the same numbers as a recorded run.
 
     Environment variables that change computed numbers, and those in ``also``, get the values recorded with the run. An
-    environment variable that changes computed numbers is unset if the run did not have it. Environment variables for
-    paths, devices, and preloaded libraries keep their present values.
+    environment variable that changes computed numbers is unset if the run did not have this variable. Environment
+    variables for paths, devices, and preloaded libraries keep their present values.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}

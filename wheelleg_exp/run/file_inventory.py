@@ -92,7 +92,7 @@ def odd_entries(directory: Path) -> dict[str, str]:
 def relative_name(directory: Path, path: Path) -> str:
     """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
 
-    A relative ``path`` starts at the working directory if this file is below ``directory``, otherwise at ``directory``.
+    A relative ``path`` that is not below ``directory`` when read from the working directory starts at ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):

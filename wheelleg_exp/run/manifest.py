@@ -379,7 +379,7 @@ class Manifest:
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
-        """Return whether a file of the run matches its newest hash in the manifest; True if there is no hash."""
+        """Return whether a file of the run matches the newest hash of the file in the manifest; True without a hash."""
         record = self.recorded_files().get(path.name)
         return record is None or record["sha256"] == sha256(path)
 

@@ -44,7 +44,7 @@ PIPELINE_NAME = "pipeline.json"
 
 
 def is_pipeline(folder: Path) -> bool:
-    """Return whether a folder has a pipeline's index file but no manifest, which would make it a run directory."""
+    """Return whether a folder has a pipeline's index file but no manifest; a manifest would mark a run directory."""
     return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
 
 
@@ -107,9 +107,8 @@ class RunDirectory(os.PathLike[str]):
     ) -> RunDirectory:
         """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``; the time is local.
 
-        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. If ``section`` is
-        ``agents`` or ``replays``, the run directory is created in this subfolder of ``root``, which the name ``latest``
-        and the list of runs ignore.
+        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. A ``section``,
+        ``agents`` or ``replays``, is a subfolder of ``root`` for runs that ``latest`` and the list of runs ignore.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
@@ -124,7 +123,7 @@ class RunDirectory(os.PathLike[str]):
 
     @classmethod
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
-        """Find a run directory by its path, by its id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
+        """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
         If ``odd`` is true, links, pipes, and devices in the run directory raise no error. With ``odd``, the caller must
         report links, pipes, and devices in the run directory, and must not open them.
@@ -185,7 +184,7 @@ class RunDirectory(os.PathLike[str]):
         return found[-1]
 
     def checkpoint(self, iteration: int) -> Path:
-        """Return the path of one iteration's checkpoint; if it is missing, an error names the nearest checkpoint."""
+        """Return the path of one iteration's checkpoint; the error for a missing checkpoint names the nearest one."""
         found = {checkpoint_iteration(path): path for path in self.checkpoints()}
         if iteration in found:
             return found[iteration]

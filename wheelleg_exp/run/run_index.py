@@ -95,7 +95,7 @@ class _RunIndex:
         return self.folder / self.FILE
 
     def run_of(self, entry: Mapping[str, Any]) -> Path | None:
-        """Return the absolute run directory of a sweep job or pipeline phase; None before its training starts."""
+        """Return the absolute run directory of a sweep job or pipeline phase; None if its training has not started."""
         return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
 
     def relative(self, path: Path) -> str:

@@ -200,7 +200,7 @@ def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
 
 
 def _last_line(path: Path) -> dict[str, Any] | None:
-    """Return the last complete line of ``iterations.jsonl``, reading only the end of this file."""
+    """Return the last complete line of ``iterations.jsonl`` without reading the whole file."""
     try:
         with open_file(path) as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))

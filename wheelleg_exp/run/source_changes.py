@@ -73,7 +73,7 @@ def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositorie
 
 
 def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return the state of each path that differs between a source tree and its base commit; None if removed."""
+    """Return the git state of each path that differs between a source tree and its base commit; None if deleted."""
     return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
 
 

@@ -259,7 +259,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class whose signature lists the parameters that a config can set.
 
     For a class with the constructor ``(cfg, env)``, return ``__call__``; if ``__call__`` is missing, return the class
-    that annotates ``cfg``. For any other target, return the target itself.
+    that annotates ``cfg``. A target without this constructor is returned itself.
     """
     if not takes_cfg(target):
         return target

@@ -1,7 +1,7 @@
 """Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-The module checks the nodes of a term against the annotations of the targets that the nodes name. The module also
-converts an exception in the code of a term into an error with the term's config key and line.
+The module checks the nodes of a term against the annotations of the targets that the nodes name. ``failure`` converts
+an exception in the code of a term into an error with the term's config key and line.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Check whether a run's manifest, or a file that the manifest lists, was changed after the run wrote it."""
+"""Check whether a run's manifest, or a file that the manifest lists, was changed later."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that a run's manifest was not changed after the run wrote it; note the run's failure and resumes."""
+    """Check that a run's manifest was not changed after the run wrote the file; note the run's failure and resumes."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
@@ -208,7 +208,7 @@ def _is_growing(subject: Subject, name: str) -> bool:
 
 
 def _waiting(subject: Subject) -> list[str]:
-    """Return the files that a crashed resume of the run did not rewrite; the next resume rewrites them."""
+    """Return the files that a crashed resume of the run has not rewritten, and that the next resume rewrites."""
     texts = subject.data["resumes"][-1].get("files_to_write") if subject.data["resumes"] else None
     return sorted(texts) if texts and not subject.has_ended else []
 

@@ -1,4 +1,4 @@
-"""Check the files of one run against the run's manifest and against each other.
+"""Check whether the files of one run agree with the run's manifest and with each other.
 
 The checks cover the inputs of the run (parameters, source, robot) and the results of the run (iterations, checkpoints,
 recording, exported policy).
@@ -142,7 +142,7 @@ def _results_problems(subject: Subject) -> Iterator[str]:
 
 
 def checkpoints(subject: Subject) -> Check:
-    """Compare the iteration in each checkpoint with the file name, and its hashes with the iteration log."""
+    """Compare each checkpoint's iteration with the file name, and each checkpoint's hashes with the iteration log."""
     paths, last = subject.run.checkpoints(), subject.manifest.results.get("checkpoint")
     if not paths:
         missing = ["a finished run has no checkpoint"] if subject.status == "finished" or last else []
@@ -249,7 +249,7 @@ _OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, reco
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
-    """Check a run's files against the run's manifest and each other, without executing code that the run stores."""
+    """Check whether a run's files agree with the run's manifest and each other, without executing stored code."""
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]

@@ -169,7 +169,7 @@ def environment_differences(
     """Return how two manifests, or parts of manifests, differ in the sections ``SECTIONS``.
 
     A section that only one manifest has is skipped. The facts named in ``unknown`` are skipped, because one of the two
-    runs has not recorded them.
+    runs has not recorded these facts.
     """
     found = []
     for section in SECTIONS:
@@ -217,7 +217,7 @@ def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tupl
 
 
 def _independent(manifest: Mapping[str, Any]) -> bool:
-    """Return whether a manifest or its MKL settings exclude that the number of torch threads changes results."""
+    """Return whether, according to a run's manifest, the number of torch threads cannot change results."""
     recorded = (_values(manifest, "threads") or {}).get("independent")
     if recorded is not None:
         return all(value is True for value in recorded)

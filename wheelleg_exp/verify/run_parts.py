@@ -105,7 +105,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Parting:
-    """The first iteration in which two iteration logs differ, and the hashes and scalars that differ in it."""
+    """The first iteration in which two iteration logs differ, and the differing hashes and scalars."""
 
     iteration: int
     digests: list[str]

@@ -13,9 +13,9 @@ are within tolerance if they pass two tests:
   by 0.001 of the return's range.
 
 Iterations without a value of the return or episode length are skipped, such as those before the first episode ends. Two
-runs fail the end test if only one of the runs has a final return or episode length; if both runs lack it, the result
-has a note. Runs of at least 50 iterations are not within tolerance if neither return nor episode length can be
-compared. Runs of fewer than 50 iterations need to pass only the start test.
+runs fail the end test if only one of the runs has a final return or episode length. Runs of at least 50 iterations are
+not within tolerance if neither return nor episode length can be compared. Runs of fewer than 50 iterations need to pass
+only the start test.
 
 If no known difference between the runs explains unequal numbers, every bit must be equal, and no tolerance applies.
 """
@@ -78,7 +78,7 @@ class Tolerance:
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
-        """Return a text with the first iteration in which two runs differ and with its largest deviation."""
+        """Return a text with the first iteration in which two runs differ and the largest deviation in it."""
         worst = max(self.start, key=lambda excess: excess.off, default=None)
         if worst is None:
             return "digests differ, and no scalar does"

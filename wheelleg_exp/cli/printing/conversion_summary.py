@@ -26,7 +26,7 @@ VERDICTS = {"good": "converted without doubts", "check": "converted, check the r
 
 
 def show(conversion: Conversion, scene: Path | None) -> None:
-    """Print whether a converted robot is usable, with its warnings, joints, assumptions, and left-out items."""
+    """Print whether a converted robot is usable, and list warnings, joints, assumptions, and left-out items."""
     report = conversion.report
     count, reasons = len(report.warnings), list(report.verdict.reasons)
     if report.verdict.level == "check" and count:

@@ -161,7 +161,7 @@ _NOTES = 3  # The largest number of printed notes of a recording; earlier notes 
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
     """Print tables of a recording's contents and performance figures.
 
-    ``others`` contains the paths of all recordings of the run except the printed one. The performance figures are
+    ``others`` contains the paths of all recordings of the run except the printed recording. The performance figures are
     computed from the recorded rows that ``selection`` selects. ``status`` is the run's status for a recording of the
     training, and None for a recording of a play.
     """

@@ -31,7 +31,7 @@ _MOTION: Mapping[str, Callable[[float], str]] = {
 
 
 def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
-    """Print a play's performance figures, each with the number of steps or episodes from which it was computed."""
+    """Print a play's performance figures, each with the number of steps or episodes that the figure covers."""
     ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
     of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
     values = {

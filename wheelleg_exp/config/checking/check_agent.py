@@ -157,7 +157,7 @@ def _takes_any(found: Any) -> bool:
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the activations or optimisers that rsl_rl lists in its error; None if rsl_rl accepts ``value``."""
+    """Return the activations or optimisers that rsl_rl lists in the error for ``value``; None if there is no error."""
     import rsl_rl.utils
 
     try:

@@ -170,7 +170,7 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
-    """Return whether a key is one of ``places`` or below it; a place with a leading dot matches at any depth."""
+    """Return whether a config key is at or below one of ``places``; a place with a leading dot matches at any depth."""
     return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
@@ -331,8 +331,8 @@ def find_mistakes(
 ) -> tuple[Composed | None, list[ConfigError]]:
     """Compose and check a config, and return the config (None if Hydra cannot compose it) and all mistakes.
 
-    If a wrong override or a broken file stops Hydra, ``find_mistakes`` drops it and checks the remaining config. The
-    returned mistakes include no consequences of a dropped override or file.
+    An override or file that stops Hydra is dropped, and the remaining config is checked. The returned mistakes include
+    no consequences of a dropped override or file.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()
@@ -343,7 +343,7 @@ def find_mistakes(
 
 
 def compose_valid(overrides: Sequence[str] = (), *, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose a config, check the config, and return it. One ConfigError lists all mistakes in the config."""
+    """Compose a config, check the config, and return the config. One ConfigError lists all mistakes in the config."""
     composed, mistakes = find_mistakes(overrides, config_dirs=config_dirs)
     if mistakes:
         raise_all(mistakes)

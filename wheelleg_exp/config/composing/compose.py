@@ -103,7 +103,7 @@ class Composed:
 
     @cached_property
     def mounts(self) -> list[Mount]:
-        """The config groups in use, computed when this property is first read; Hydra's own groups are excluded."""
+        """The config groups in use, except Hydra's own config groups, computed on first access."""
         return find_mounts(self.loader, self.parsed)
 
     @cached_property

@@ -1,7 +1,7 @@
 """Compose a sweep: Hydra expands one command line into several jobs, and every job is checked.
 
-The module also lists the Hydra launchers that can run the jobs of a sweep. A launcher starts the jobs: one by one, in
-parallel processes, or in a queue.
+The module ``compose_sweep`` lists the Hydra launchers that can run the jobs of a sweep. A launcher starts the jobs: one
+by one, in parallel processes, or in a queue.
 """
 
 from __future__ import annotations

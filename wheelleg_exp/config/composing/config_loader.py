@@ -231,7 +231,7 @@ def _line_of_message(file: Path, message: str) -> int | None:
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's config loader, which stores its repository and the files that the last call of ``load`` merged."""
+    """Hydra's config loader, extended to store the config files that the last call of ``load`` merged."""
 
     repository_used: Repository
     merged: Sequence[ResultDefault]

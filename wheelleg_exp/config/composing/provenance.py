@@ -1,7 +1,7 @@
 """Find the file or override that set each value and selected each config group of a composed config.
 
-The source of a config value is a file and line, or an override. A source of a config value lists the earlier sources of
-the value, which it replaced.
+The source of a config value is a file and line, or an override. A source of a config value lists the value's earlier,
+replaced sources.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Source:
     """The source of one leaf: a line of a file, or an override.
 
     ``value`` is the config value with unresolved ``${...}``. ``package`` contains the config keys below which the
-    source's file is mounted. ``shadowed`` lists the earlier sources whose values this source replaced, oldest first.
+    source's file is mounted. ``shadowed`` lists the replaced earlier sources of the config value, oldest first.
     """
 
     path: str

@@ -41,7 +41,7 @@ LIBRARY = "wheelleg_exp.mdp"
 class LibraryTerm:
     """A stock term that a config can select.
 
-    ``help`` is the first line of the term's docstring. ``limits`` contains types and bounds of its parameters as text.
+    ``help`` is the first line of the term's docstring. ``limits`` contains types and bounds of parameters as text.
     """
 
     section: str
