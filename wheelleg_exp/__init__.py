@@ -1,6 +1,6 @@
 """Config-first, reproducible reinforcement-learning experiments for wheel-legged robots on MuJoCo.
 
-Importing the package registers its Gymnasium environments.
+An import of ``wheelleg_exp`` registers the package's Gymnasium environments.
 """
 
 from wheelleg_exp.gym import register_with_gymnasium

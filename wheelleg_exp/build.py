@@ -16,9 +16,9 @@ from wheelleg_exp.paths import cache_dir, find_asset
 def prepare_asset(
     config: Mapping[str, Any], asset_roots: Sequence[Path] = (), networks: Mapping[str, Path] | None = None
 ) -> CachedConversion:
-    """Convert the robot of the composed config to MJCF, or use the cached conversion.
+    """Return the MJCF of a composed config's robot, converted from the robot file or read from the cache.
 
-    ``networks`` maps relative paths to further files, which are copied next to the MJCF.
+    ``networks`` maps relative paths to the files, such as actuator networks, that are copied next to the MJCF.
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
@@ -30,6 +30,6 @@ def prepare_asset(
 
 
 def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:
-    """Build the environment of a composed config."""
+    """Build the simulated environment that a composed config describes."""
     mjcf = prepare_asset(config, asset_roots).output
     return ManagerBasedRLEnv(config["env"], mjcf, int(config["seed"]))

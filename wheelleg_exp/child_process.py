@@ -1,11 +1,11 @@
 """Start, serve, and end child processes: jobs, workers, and other programs.
 
-A job trains or evaluates. The child process reads one line with a request from standard input and writes events to
-standard output, one JSON object per line. The job in the child process stops at the end of its standard input, so that
-the job also stops if the parent is killed. Each line on the child's standard error reaches the parent as a ``note``
+A job trains or evaluates. The child process reads one line with a request from standard input, and writes each event as
+one line of JSON to standard output. A job in a child process stops when its standard input ends, for example because
+the parent process was killed. Each line on a child process's standard error reaches the parent process as a ``note``
 event.
 
-A worker reads pickled requests from standard input and answers each request with bytes, until standard input ends.
+A worker process reads pickled requests from standard input, and answers each with bytes, until the input ends.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
 class Child:
     """The process of a job: it gets a request, sends events, and stops on request.
 
-    The child process leads its own process group, so that Ctrl-C reaches only the parent. After Ctrl-C the parent asks
-    the job to stop after the current iteration. ``ended`` is the last event of a job that has ended; None if the job
-    still runs or was killed. ``open`` maps each open pipe to the pipe's unfinished last line.
+    The child process leads its own process group, so that Ctrl-C reaches only the parent process. After Ctrl-C, the
+    parent process asks the job to stop after the current training iteration. ``ended`` is the last event of a job that
+    has ended; None for a running or killed job. ``open`` maps each open pipe to the pipe's unfinished last line.
     """
 
     def __init__(
@@ -79,29 +79,29 @@ class Child:
         self.open = {self._output: b"", self._errors: b""}
         for pipe in self.open:
             os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError):  # A later check reports a dead process with its exit status.
+        with contextlib.suppress(OSError):  # When the parent reads the events, a dead process raises an error.
             self._input.write(request)
             self._input.flush()
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop after the current iteration."""
+        """Ask the job to stop after the current training iteration."""
         with contextlib.suppress(OSError):
             self._input.close()
 
     def interrupt(self) -> None:
-        """Stop a job immediately after an earlier stop request. The job treats SIGTERM as the second stop request."""
+        """Stop a job immediately after an earlier stop request. A job treats SIGTERM as the second stop request."""
         self.process.send_signal(signal.SIGTERM)  # A shell's background job ignores SIGINT.
 
     def kill(self) -> None:
-        """Kill the process of the job."""
+        """Kill the child process in which the job runs."""
         self.process.kill()
 
     def over(self) -> bool:
-        """Return whether the process of the job has ended."""
+        """Return whether the child process of the job has ended."""
         return self.process.poll() is not None
 
     def close(self) -> None:
-        """Kill the process of the job if it still runs, and close its pipes."""
+        """Kill the job's child process if it runs, and close the pipes to the child process."""
         self.kill()
         self.process.wait()
         self.open = {}
@@ -110,13 +110,13 @@ class Child:
         self._errors.close()
 
     def read(self, pipe: IO[bytes]) -> Iterator[Event]:
-        """Yield the events that a pipe currently contains."""
+        """Yield the events of a job that can be read from a pipe without waiting."""
         found = self.open.pop(pipe)
         try:
             while chunk := os.read(pipe.fileno(), _CHUNK):
                 found += chunk
             found += b"\n"
-        except BlockingIOError:  # The pipe is empty, but still open.
+        except BlockingIOError:  # The pipe is open but contains no bytes.
             found, _, self.open[pipe] = found.rpartition(b"\n")
         for raw in filter(bytes.strip, found.split(b"\n")):
             line = raw.decode(errors="replace").rstrip()
@@ -141,7 +141,7 @@ class Child:
 
 
 def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Event]]:
-    """Yield the events that child processes have sent; wait at most ``wait_s`` seconds for the first event."""
+    """Yield the events that child processes have sent; wait for the first event at most ``wait_s`` seconds."""
     with selectors.DefaultSelector() as selector:
         for child in children:
             for pipe in child.open:
@@ -153,7 +153,7 @@ def listen(children: Iterable[Child], wait_s: float) -> Iterator[tuple[Child, Ev
 
 
 def parse_event(line: str) -> Event | None:
-    """Return the event in a line of text; None for a line without an event, such as a truncated line."""
+    """Return the event that a line of a job's output contains; None for a line without an event."""
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):
@@ -165,7 +165,7 @@ def parse_event(line: str) -> Event | None:
 def job_events(child: Child, stop: StopRequest) -> Iterator[Iterator[Event]]:
     """Yield an iterator over the events of a job; on exit, end its process: politely, then at once, then by force.
 
-    The iterator raises ``Interrupted`` if the job was stopped, and a WheellegError if the job failed.
+    The returned iterator raises ``Interrupted`` if the job was stopped, and a WheellegError if the job failed.
     """
     try:
         yield _events(child, stop)
@@ -199,7 +199,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
     act()
     deadline = time.monotonic() + patience_s
     while not child.over() and time.monotonic() < deadline:
-        for _ in listen([child], 0.05):  # A process with a full pipe cannot end before the parent reads the pipe.
+        for _ in listen([child], 0.05):  # A process with a full pipe cannot end before the parent reads the full pipe.
             pass
 
 
@@ -207,9 +207,9 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
 
 
 class EventPipe:
-    """A sender of events from a job to the parent process. If the parent process has died, the events are dropped.
+    """An object that sends a job's events to the parent process, or drops them if the parent process has died.
 
-    If the job has completed the requested work, ``reached`` is true, and a stop request is not an interruption.
+    ``reached`` is true if the job completed the requested work; a stop request is then not an interruption.
     """
 
     reached = False
@@ -227,7 +227,7 @@ class EventPipe:
 
 
 def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
-    """Run the job that the first line of standard input requests, and return the exit status."""
+    """Run the job that the first line of standard input requests, and return the job's exit status."""
     prepare_threads()
     descriptor = os.dup(1)
     os.dup2(2, 1)
@@ -239,7 +239,7 @@ def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
 
 
 def run_job(pipe: EventPipe, work: Callable[[EventPipe], None]) -> int:
-    """Run a job, send an ``ended`` event to the parent process, and return the exit status."""
+    """Run a job in a child process, send an ``ended`` event to the parent process, and return the exit status."""
     try:
         work(pipe)
     except Interrupted:
@@ -265,8 +265,8 @@ def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
 class Worker:
     """A module in a child process that answers pickled requests with bytes (see ``serve_requests``).
 
-    The child process first receives ``order``, and sends ``ready`` after its preparation. ``errors`` is an empty file
-    for the standard error of the process.
+    The child process first receives ``order``, and sends ``ready`` when it can answer requests. ``errors`` is an empty
+    file, to which the child process writes its standard error.
     """
 
     def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
@@ -286,20 +286,20 @@ class Worker:
             self.is_ready = self._stdout.read(len(_READY)) == _READY
 
     def ask(self, request: Any, count: int) -> bytes:
-        """Return the next ``count`` bytes of the answer, or fewer bytes if the worker process died."""
+        """Return the next ``count`` bytes of a worker's answer, or fewer bytes if the worker process died."""
         with contextlib.suppress(OSError):
             self._send(request)
             return self._stdout.read(count)
         return b""
 
     def last_line(self) -> str:
-        """Return the last line on the standard error of the process; without such a line, return the exit status."""
+        """Return the last line on the worker's standard error, or the worker's exit status if there is no line."""
         self._errors.seek(0)
         lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
 
     def close(self) -> None:
-        """End the process of the worker."""
+        """End the child process of the worker."""
         for stream in (self._stdin, self._stdout):
             with contextlib.suppress(OSError):
                 stream.close()
@@ -317,10 +317,10 @@ class Worker:
 def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
     """Answer requests in the process of a ``Worker`` until standard input ends.
 
-    ``prepare`` receives the worker's order, and yields the function that answers requests.
+    ``prepare`` receives the order of the ``Worker``, and yields the function that answers requests.
     """
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # Text that a library prints to standard output must not mix with the answers.
+    os.dup2(2, 1)  # Text that a library prints must not mix with the answers on standard output.
     with prepare(pickle.load(source)) as answer:
         target.write(_READY)
         target.flush()
@@ -340,7 +340,7 @@ def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any
 def running_program(
     command: Sequence[str], output: IO[bytes], environ: Mapping[str, str], folder: str
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Yield a running program in its own session; on exit, end the program and all processes that it has started."""
+    """Start and yield a program in its own session; on exit, end the program and all processes that it has started."""
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
@@ -363,7 +363,7 @@ def end_program(process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_PROGRAM_PATIENCE_S)
             break
-    _signal_group(process, _KILL)  # Child processes of the program can still run after the end of the program.
+    _signal_group(process, _KILL)  # Processes that the program started can run longer than the program itself.
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: int) -> None:

@@ -1,11 +1,11 @@
-"""Define constraints that the annotations of parameters can contain.
+"""Define constraints, such as bounds, that the type annotations of parameters can contain.
 
     def track(env: Env, std: Positive, share: Share = 1.0, span: Interval = (0.0, 1.0)) -> torch.Tensor: ...
     def count(env: Env, steps: Annotated[int, AtLeast(2), AtMost(8)]) -> torch.Tensor: ...
 
-``wheelleg check`` and the code that builds objects enforce the constraints. User-defined terms, noise, actuators and
-sensors are checked against their annotations like those of the library. A number must be finite unless its annotation
-contains ``MayBeInfinite``. The decorator ``relation`` attaches a rule between several parameters.
+``wheelleg check`` and the code that builds objects from a config enforce the constraints of parameters. The parameters
+of user-defined terms, noise, actuators and sensors are checked like those of the library. A number must be finite
+unless its annotation contains ``MayBeInfinite``. The decorator ``relation`` attaches a rule between several parameters.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 
 class Constraint:
-    """A requirement that a value of the annotated type must satisfy.
+    """A requirement that the value of an annotated parameter must satisfy.
 
     In messages, ``form`` replaces the type, such as ``[low, high]``; ``broken`` replaces the value; and ``text``
     follows the type: ``a number, <text>``.
@@ -29,11 +29,11 @@ class Constraint:
     text: str = ""
 
     def words(self) -> str:
-        """Return the text of the constraint, which follows the type in error messages."""
+        """Return the constraint as the text that follows the type in error messages."""
         return self.text
 
     def holds(self, value: Any) -> bool:
-        """Return whether a value of the annotated type satisfies the constraint."""
+        """Return whether a value of the annotated type satisfies this constraint."""
         raise NotImplementedError
 
 
@@ -87,7 +87,7 @@ class Length(Constraint):
 
 
 class NotEmpty(Constraint):
-    """The value is a list, mapping or text that is not empty."""
+    """The constraint that a value is a list, mapping or text with at least one element."""
 
     text = "not empty"
 
@@ -96,7 +96,7 @@ class NotEmpty(Constraint):
 
 
 class NotAllZero(Constraint):
-    """The value is a list of numbers, of which at least one is not 0."""
+    """The constraint that a value is a list of numbers, at least one of which is not 0."""
 
     text = "not all zero"
 
@@ -134,7 +134,7 @@ class Targeted(Constraint):
 
 @dataclass(frozen=True)
 class Pattern(Constraint):
-    """The value is a text that a regular expression matches completely; ``form`` describes valid texts."""
+    """The constraint that a regular expression matches a text completely; ``form`` describes valid texts."""
 
     expression: str
     form: str
@@ -174,7 +174,7 @@ _RULES = "_relations"
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
     """Attach a rule between several parameters to a function or class.
 
-    The rule receives the parameters from the config, including defaults, after each parameter has passed its own check.
+    The rule gets all parameters, including defaults, after each parameter has passed the parameter's own check.
     """
 
     def attach(target: _Target) -> _Target:

@@ -1,7 +1,7 @@
 """Define every reported figure: its label, its unit, and its meaning.
 
-Commands, plots, reports, and docs read the definitions of figures. The sections are: the text of figures, the scalars
-of a training, the figures of plays and agents, the figures of drives, and the figures of a recording.
+Commands, plots, reports, and docs read the definitions of figures such as the mean return. The sections are: the text
+of figures, the scalars of a training, and the figures of plays, of agents, of drives, and of a recording.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ NOT_FINITE = "a number that is not finite"
 class Definition:
     """The definition of a figure: its label, its unit, and its meaning.
 
-    ``unit`` is empty for a number, a count or a text. ``meaning`` states the episodes, environments and steps that the
-    figure covers, and how the figure is computed. If the figure is a mean, ``of`` names the episodes or steps of the
-    mean.
+    ``unit`` is empty for a figure that is a pure number, a count or a text. ``meaning`` states which episodes,
+    environments and steps a figure covers, and how the figure is computed. For a figure that is a mean, ``of`` names
+    the episodes or steps over which the mean is computed.
     """
 
     label: str
@@ -32,26 +32,26 @@ class Definition:
 
     @property
     def heading(self) -> str:
-        """The label with the unit, for a table's column. A percentage needs no unit."""
+        """The heading of a table column, which consists of a figure's label and unit. A percentage needs no unit."""
         return f"{self.label} ({self.unit})" if self.unit not in ("", SHARE) else self.label
 
 
 def ending(terms: Iterable[str]) -> str:
     """Return the text for the termination terms that were true in an episode's last step.
 
-    If no termination term was true, a reward or a state that was not finite ended the episode.
+    An episode without a true termination term ended because a reward or a state was not finite.
     """
     return " and ".join(terms) or NOT_FINITE
 
 
 def percent(share_: float) -> str:
-    """Return a share as a percentage, such as ``93.8%``. Only exactly 0 and 1 are shown as 0.0% and 100.0%."""
+    """Return a share as a percentage, such as ``93.8%``. Only the exact shares 0 and 1 are shown as 0.0% and 100.0%."""
     shown = min(max(round(100.0 * share_, 1), 0.1), 99.9) if 0.0 < share_ < 1.0 else 100.0 * share_
     return f"{shown:.1f}%"
 
 
 def share(part: int, whole: int) -> str:
-    """Return a share with its counts, such as ``93.8% (60 of 64)``; a dash if ``whole`` is 0."""
+    """Return a share with both counts, such as ``93.8% (60 of 64)``; return a dash if ``whole`` is 0."""
     return f"{percent(part / whole)} ({part} of {whole})" if whole else "-"
 
 
@@ -72,7 +72,7 @@ TRAINING_ABOUT = (
     "episodes, and shorter ones. `*_per_step/…` has no such bias: every environment counts equally in every control "
     "step of the iteration. Command errors are sampled once per control step, after the resets of that step."
 )
-# The definitions of TensorBoard scalars by key. A part of a key in <> matches any name. The first match is used.
+# The definitions of TensorBoard scalars by key; <NAME> in a key matches any name; the first matching key is used.
 SCALARS = {
     "Train/mean_reward": Definition("return, mean", "",
         f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST),
@@ -137,7 +137,7 @@ LISTED = {
         "Time from the start of the run to its end. For a resumed run: the sum of its iterations."),
 }  # fmt: skip
 
-# A run's manifest contains these keys in addition to the scalars of the last iteration.
+# The keys of a run's manifest in addition to the scalars of the last iteration.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
     "results.seconds": Definition("seconds", "s",
@@ -147,7 +147,7 @@ MANIFEST = {
         "no episode of the environment has ended."),
 }  # fmt: skip
 
-# The scalars that describe the result of a training, as prefixes of their keys.
+# The key prefixes of the scalars that describe the result of a training.
 ENDED_AS = (
     *("Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/"),
     *("Metrics_per_step/", "Episode_Metrics/"),
@@ -164,7 +164,7 @@ def curve_title(key: str) -> str:
 
 
 def scalar_definition(key: str) -> Definition | None:
-    """Return the definition of a TensorBoard scalar, with names from the key in the label; None for an unknown key."""
+    """Return the definition of a TensorBoard scalar by its key; None for an unknown key."""
     for pattern, found in SCALARS.items():
         match = re.fullmatch(_NAME.sub(r"(?P<\1>.+)", pattern), key)
         if match:
@@ -182,7 +182,7 @@ ROLLOUT_ABOUT = (
     "`settle_s`, of all these episodes together: an episode that ends early counts with fewer steps. The label says "
     "after how many seconds."
 )
-# The keys of this table are keys of figures.json and of the manifest.
+# The figures of a play, by their keys in figures.json and in a run's manifest.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
     "unfinished": Definition("still running", "",
@@ -216,7 +216,7 @@ MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
     "If a figure has one value for each actuator group, its label names the group."
 )
-# The keys of this table are keys of figures.json. The last three figures have one value for each actuator group.
+# The figures of motion, by their keys in a play's figures.json; the last three have a value per actuator group.
 MOTION = {
     "drift_m": Definition("strayed from its place", "m",
         "Largest distance in the plane from the base's position at the settling time, mean over the episodes that "
@@ -239,7 +239,7 @@ CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
     "cover the control steps at least 0.2 s after a reset in which the robot is tilted by less than 0.2 rad."
 )
-# The keys of this table are keys of figures.json below `contacts.<sensor>`.
+# The figures of contacts, by their keys in a play's figures.json below `contacts.<sensor>`.
 CONTACTS = {
     "mean_n": Definition("mean", "N",
         "Mean size of the net normal force at the end of these steps; 0 without contact."),
@@ -250,7 +250,7 @@ CONTACTS = {
 
 
 def rollout_label(key: str, settle_s: float | None) -> str:
-    """Return a figure's label and the part of an episode that the figure covers; ``settle_s`` is None if unknown."""
+    """Return a figure's label and the covered part of an episode; ``settle_s``, the settling time, can be None."""
     if key in MOTION:
         return f"{MOTION[key].label}, {settled_window(settle_s)}"
     text = ROLLOUT[key].label
@@ -270,7 +270,7 @@ DRIVE_ABOUT = (
     "These figures cover one robot over all control steps of the drive, including its falls and restarts. There is one "
     "drive for each selected checkpoint and each selected ground."
 )
-# The keys of this table are keys of figures.json below play/, and of manifests of the kind `drive`.
+# The figures of a drive, by their keys in a play's figures.json and in manifests of the kind `drive`.
 DRIVE = {
     "duration_s": Definition("driven", "s", "Simulated time. Pauses, and the time for which falls are shown, are out."),
     "steps": Definition("control steps", "", "Number of control steps."),
@@ -320,7 +320,7 @@ _WHOLE = {
     "mean_reward": Definition("return, mean", "",
         "Mean over the whole episodes of the sum of rewards, not discounted."),
 }  # fmt: skip
-# The outer keys are the titles of `wheelleg inspect`'s tables. The inner keys are names in the summary's JSON.
+# The outer keys are titles of tables that `wheelleg inspect` prints; the inner keys are names in its JSON output.
 RECORDED = {
     "samples": {
         "iterations": Definition("iterations", "", "Iterations of the sample's first and last frame."),
@@ -381,10 +381,10 @@ RECORDED = {
 
 
 def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:
-    """Return the headings of a table's columns with units; without ``keys``, return the headings of all columns."""
+    """Return the headings of a table's columns ``keys`` with units; without ``keys``, return all headings."""
     return tuple(RECORDED[table][key].heading for key in keys or RECORDED[table])
 
 
 def recorded_label(table: str, key: str) -> str:
-    """Return the label of a figure in a table of definitions."""
+    """Return the label of a figure from a table of definitions."""
     return RECORDED[table][key].label

@@ -15,18 +15,18 @@ EXIT_FAILED = 3
 EXIT_INTERRUPTED = 130
 
 _ODD = re.compile(r"[^\n\t -~]")
-# str.isprintable rejects space characters of these Unicode categories, but the characters are harmless.
+# The Unicode categories of space characters that are harmless, although str.isprintable rejects them.
 _SPACES = ("Zs", "Zl", "Zp")
-# A text with at least this number of letters can match a name that contains the text.
+# The smallest number of letters of a wrong name that can match a valid name that contains it.
 _LEAST_PART = 4
 
 
 class WheellegError(Exception):
-    """An error for users, which is printed without a traceback.
+    """An error that the user can understand and that is printed without a traceback.
 
-    ``message`` states the problem in one sentence without a full stop. ``key`` is the config key, prim, file or
-    command-line argument that the message is about. ``where`` is the ``file:line`` of the wrong value, or the override
-    that sets the value. ``expected`` describes a valid value, and ``nearest`` is the most similar valid name.
+    ``message`` states the problem in one sentence without a full stop. ``key`` is the config key, USD prim, file or
+    command-line argument that ``message`` is about. ``where`` is the ``file:line`` of the wrong value, or the override
+    that sets the value. ``expected`` describes a valid value; ``nearest`` is the valid name nearest to the wrong one.
     """
 
     exit_code = EXIT_INPUT
@@ -74,10 +74,10 @@ class UnreadKey(ConfigError):
 
 
 class AssetError(WheellegError):
-    """A robot file cannot be read, or lacks required content."""
+    """A robot file is unreadable or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return a copy of the error for a config key; the error's old key and place become a part of the message."""
+        """Return a copy of an error with a config key; the error's old key and place become a part of its message."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")
@@ -91,7 +91,7 @@ class RunDirectoryError(WheellegError):
 class SimulationFailure(WheellegError):
     """A run failed while it was running, for example because physics became NaN or the disk is full.
 
-    ``evidence`` is the state that led to the failure, as arrays by name.
+    ``evidence`` contains the simulation state that led to the failure of a run, as arrays by name.
     """
 
     exit_code = EXIT_FAILED
@@ -117,7 +117,7 @@ def _escaped(letter: str) -> str:
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the name among ``names`` that is most similar to ``name``, or None if no name is similar.
 
-    A name that differs only in case is preferred. If no name is similar, a name that contains ``name`` is returned.
+    A name that differs from ``name`` only in case is preferred; without a similar name, a name may contain ``name``.
     """
     listed = list(names)
     same = [other for other in listed if other.lower() == name.lower()]

@@ -38,7 +38,7 @@ def file_error(path: Path, error: OSError, verb: str = "write") -> WheellegError
 
 @contextlib.contextmanager
 def for_people(path: Path, verb: str = "write") -> Iterator[None]:
-    """Convert an OSError inside the block to an error that names ``path``."""
+    """Convert an OSError inside the ``with`` block to a WheellegError that names ``path``."""
     try:
         yield
     except OSError as error:
@@ -47,7 +47,7 @@ def for_people(path: Path, verb: str = "write") -> Iterator[None]:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """Convert a RunDirectoryError inside the block to a failure of the run, because the path was valid at its start."""
+    """Convert a RunDirectoryError inside the ``with`` block to a failure of the run that started with valid paths."""
     try:
         yield
     except RunDirectoryError as error:
@@ -59,8 +59,8 @@ def while_running() -> Iterator[None]:
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     """Write ``data`` to ``path`` atomically: a reader sees the old file or the complete new one.
 
-    Missing folders are created. The function syncs the data to the disk before it renames the temporary file. A full or
-    broken disk raises SimulationFailure. Any other problem raises RunDirectoryError.
+    Missing folders are created. The data are synced to the disk before the temporary file is renamed to ``path``. A
+    full or broken disk raises SimulationFailure; any other problem with ``path`` raises RunDirectoryError.
     """
     temporary = temporary_name(path)
     with for_people(path):
@@ -96,8 +96,8 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as indented JSON atomically.
 
-    Keys keep their order. Arrays, tensors and numpy scalars become lists and numbers, and paths become text. NaN and
-    infinities, which JSON does not have, become ``"nan"``, ``"inf"`` and ``"-inf"``.
+    Keys keep their order. In the JSON, arrays, tensors and numpy scalars become lists and numbers, and paths become
+    text. NaN and infinities, which JSON lacks, become the texts ``"nan"``, ``"inf"`` and ``"-inf"``.
     """
     write_text(path, dump_json(value))
 
@@ -108,7 +108,7 @@ def write_yaml(path: Path, value: Any) -> None:
 
 
 def dump_json(value: Any) -> str:
-    """Return ``value`` as JSON text, in the format of ``write_json``."""
+    """Return ``value`` as the JSON text that ``write_json`` writes."""
     plain = json_plain(value)
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     try:
@@ -119,7 +119,7 @@ def dump_json(value: Any) -> str:
 
 
 def json_plain(value: Any) -> Any:
-    """Return ``value`` as mappings, lists, text, finite numbers, booleans and None."""
+    """Convert ``value`` to nested mappings and lists of text, finite numbers, booleans and None."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, Mapping):
@@ -139,7 +139,7 @@ def json_plain(value: Any) -> Any:
 
 @contextlib.contextmanager
 def open_file(path: Path) -> Iterator[BufferedReader]:
-    """Open a regular file for reading. Pipes and devices are refused, because a read from them might never end."""
+    """Open a regular file for reading; raise an error for pipes and devices, because reading them might never end."""
     with for_people(path, "read"), open(path, "rb", opener=_opened) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             message = "the path is not an ordinary file"
@@ -148,15 +148,15 @@ def open_file(path: Path) -> Iterator[BufferedReader]:
 
 
 def _opened(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Do not wait until another process opens a pipe.
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Opening a pipe must not wait for a writing process.
 
 
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
-    """Return the content of a file of at most ``largest`` bytes."""
+    """Return the content of a file; raise an error if the file has more than ``largest`` bytes."""
     with open_file(path) as file:
         size = os.fstat(file.fileno()).st_size  # Read the file's size first, because file.read(n) allocates n bytes.
         data = b"" if size > largest else file.read(size + 1)
-        if len(data) > size:  # The file contains more bytes than its reported size.
+        if len(data) > size:  # The file contains more bytes than the size that fstat reports.
             data += file.read(largest + 1 - len(data))
     if max(size, len(data)) > largest:
         message = f"the file has more than {largest >> 20} MiB"
@@ -165,14 +165,14 @@ def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
 
 
 def read_lines(path: Path) -> Iterator[bytes]:
-    """Yield the lines of a file with their line ends; a very long line is split into several pieces."""
+    """Yield the lines of a file, including line ends; a very long line is split into several pieces."""
     with open_file(path) as file:
         while line := file.readline(_LARGEST_JSON):
             yield line
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file; RunDirectoryError if it is not UTF-8."""
+    """Return the text of a file; raise RunDirectoryError if the file is not UTF-8."""
     try:
         return read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -180,21 +180,21 @@ def read_text(path: Path) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Return the JSON value in ``path``; RunDirectoryError, with the line, if the file is not JSON."""
+    """Return the JSON value in a file; raise RunDirectoryError, which names the line, if the file is not JSON."""
     data = read_bytes(path, _LARGEST_JSON)
     with _naming_file(path, "JSON"):
         return json_value(data)
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the plain YAML value in ``path``; RunDirectoryError, with the line, if the file is not plain YAML."""
+    """Return the YAML value in a file; raise RunDirectoryError, which names the line, if the file is not plain YAML."""
     data = read_bytes(path, _LARGEST_YAML)
     with _naming_file(path, "YAML"):
         return yaml_value(data)
 
 
 def require_mapping(value: Any, path: Path) -> dict[str, Any]:
-    """Return a value that was read from ``path``; raise RunDirectoryError if the value is not a mapping."""
+    """Return a value that was read from the file ``path``; raise RunDirectoryError if the value is not a mapping."""
     if not isinstance(value, dict):
         raise RunDirectoryError(
             f"the file contains a {type(value).__name__}, not a mapping", key=str(path), expected="a mapping"
@@ -224,10 +224,10 @@ def temporary_name(path: Path) -> Path:
 
 @contextlib.contextmanager
 def temporary_folder(target: Path) -> Iterator[Path]:
-    """Make a folder next to ``target``, which the block fills and renames; remove the folder if it was not renamed.
+    """Make a folder next to ``target`` for the ``with`` block to fill and rename; remove a folder that is not renamed.
 
-    If the process is killed, the folder is not removed. The next call for this target removes left-over folders that no
-    process has locked.
+    The new folder is not removed if the process is killed. The next call for the same ``target`` removes left-over
+    folders that no process has locked.
     """
     for left in target.parent.glob(f".{glob.escape(target.name)}.*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError), _flocked(left):
@@ -236,7 +236,7 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # Without file locks, old folders are never removed.
+        with contextlib.suppress(OSError):  # On a file system without locks, left-over folders are never removed.
             stack.enter_context(_flocked(folder))
         yield folder
 
@@ -252,13 +252,13 @@ def _flocked(folder: Path) -> Iterator[None]:
 
 
 def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:
-    """Return incomplete files that killed processes left in a folder; with ``deep``, search all subfolders."""
+    """Return the incomplete files that killed processes left in a folder; with ``deep``, search all subfolders."""
     pattern = f".*{TEMPORARY_SUFFIX}"
     return sorted(folder.rglob(pattern) if deep else folder.glob(pattern))
 
 
 def cut(path: Path, size: int) -> None:
-    """Truncate a file to ``size`` bytes, and sync it to the disk."""
+    """Truncate a file to ``size`` bytes, and sync the file's content to the disk."""
     if not path.exists():
         return
     with for_people(path):
@@ -267,14 +267,14 @@ def cut(path: Path, size: int) -> None:
 
 
 def sync(path: Path) -> None:
-    """Sync a file's content to the disk, so that the content survives a power failure."""
+    """Sync the content of a file to the disk, so that a power failure cannot destroy the content."""
     if path.exists():
         with for_people(path):
             _fsync(path)
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync every file below a folder to the disk, and the directory entries of the files and of the folder."""
+    """Sync every file below a folder, and the directory entries of the files and the folder, to the disk."""
     for path in sorted(folder.rglob("*")):
         _sync(path)
     for place in (folder, folder.parent, folder.parent.parent):
@@ -282,7 +282,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    # Some file systems cannot sync a folder. This error is harmless.
+    # The error of a file system that cannot sync a folder is harmless.
     with contextlib.suppress(OSError):
         _fsync(path)
 

@@ -1,8 +1,8 @@
 """The machine's limits: memory, and the cores and environment variables that CPU training uses.
 
-The environment variables make CPU training repeatable, and must be set before torch is imported. A memory requirement
-is a lower bound. If a config needs more memory than the machine has, an error names the config key before the system
-kills the process.
+Environment variables such as MKL_CBWR make CPU training repeatable, and must be set before torch is imported. The
+memory that a config needs is estimated as a lower bound. If a config needs more memory than the machine has, an error
+names the config key before the process gets killed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def machine_memory() -> int:
 
 
 def require_memory(need: int, key: str, what: str) -> None:
-    """Raise ConfigError for ``key`` if the machine has less memory than the ``need`` bytes that ``what`` needs."""
+    """Raise ConfigError for the config key ``key`` if the machine has fewer bytes of memory than ``need``."""
     total = machine_memory()
     if need > total:
         message = f"{what} take {shown_bytes(need)} of memory at least"
@@ -42,7 +42,7 @@ def require_memory(need: int, key: str, what: str) -> None:
 
 
 def used_memory(kind: str) -> int | None:
-    """Return a memory size of this process in bytes, by its name in ``/proc/self/status``; None without this file."""
+    """Return a memory size of this process in bytes, by the size's name in ``/proc/self/status``; None if unknown."""
     try:
         text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{kind}:"))
@@ -53,7 +53,7 @@ def used_memory(kind: str) -> int | None:
 def require_room(space: int = _SPACE) -> None:
     """Raise WheellegError if ``ulimit -v`` or ``ulimit -d`` limits this process to fewer than ``space`` further bytes.
 
-    If memory is exhausted, USD, MuJoCo and torch crash without a message.
+    Without free memory, the libraries USD, MuJoCo and torch crash without an error message.
     """
     for name, kind, least in (("RLIMIT_AS", "VmSize", space), ("RLIMIT_DATA", "VmData", _DATA)):
         used = used_memory(kind)
@@ -69,7 +69,7 @@ def require_room(space: int = _SPACE) -> None:
 
 
 def shown_bytes(size: int) -> str:
-    """Return a memory size as text in GB or MB with three digits."""
+    """Return a memory size as text with a unit such as GB or MB."""
     factor, unit = next((pair for pair in _UNITS if size >= pair[0]), _UNITS[-1])
     return f"{size / factor:,.3g} {unit}" if size < 1e15 else f"{size / factor:.1e} {unit}"
 
@@ -81,8 +81,8 @@ PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
 def matrix_kernels() -> str:
     """Return the faster of MKL's two reproducible code paths: the wide path needs an Intel CPU with AVX-512.
 
-    The setting makes MKL's results bitwise equal for any number of threads. On CPUs that are not from Intel, MKL
-    ignores the variable.
+    MKL_CBWR makes the results of the library MKL bitwise equal for any number of threads. On CPUs that are not from
+    Intel, MKL ignores the variable MKL_CBWR.
     """
     flags = first_processor().get("flags", "").split()
     wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)
@@ -95,7 +95,7 @@ def is_intel() -> bool:
 
 
 def first_processor() -> dict[str, str]:
-    """Return Linux's information about the first processor; empty without ``/proc/cpuinfo``."""
+    """Return what ``/proc/cpuinfo`` says about the first processor; an empty mapping without this file."""
     try:
         text = _CPUINFO.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -105,15 +105,15 @@ def first_processor() -> dict[str, str]:
 
 
 _LOADAVG = Path("/proc/loadavg")
-_SPINS, _SAMPLES = "20000", 3  # 20000 spins of an idle thread take up to a millisecond.
+_SPINS, _SAMPLES = "20000", 3  # An idle thread takes up to a millisecond for 20000 turns of its busy loop.
 
 
 def spins() -> str:
-    """Return the number of spins of OpenMP's idle threads before they sleep.
+    """Return for how many turns OpenMP's idle threads wait in a busy loop before they sleep.
 
-    If idle threads sleep immediately, a policy update with many short operations takes twice the time. Spinning threads
-    slow down other spinning threads: two simultaneous trainings would take four times as long. Therefore idle threads
-    spin only if no other process computes at this moment.
+    If idle threads sleep immediately, a policy update with many short operations takes twice as long. Threads in busy
+    loops slow each other down: two simultaneous trainings would take four times as long. Idle threads wait in a busy
+    loop only if enough CPU cores are free.
     """
     try:
         running = []
@@ -127,34 +127,34 @@ def spins() -> str:
 
 
 # MKL_CBWR selects one code path for matrices, so that the number of threads does not change results.
-# OMP_WAIT_POLICY makes idle threads sleep after GOMP_SPINCOUNT spins, because endless spinning is slow.
+# OMP_WAIT_POLICY makes idle threads sleep after GOMP_SPINCOUNT turns of a busy loop, instead of never.
 VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
 _chosen: set[str] = set()  # set by this program
 
 
 def prepare_threads() -> bool:
-    """Set the variables that the user has not set; GOMP_SPINCOUNT only if OMP_WAIT_POLICY is not set, either.
+    """Set the environment variables ``VARIABLES`` that the user has not set; respect a user's OMP_WAIT_POLICY.
 
-    Return False if torch was imported before one of the variables was set, because the variables then have no effect.
+    Return False if torch was imported too early, because environment variables that are set later have no effect.
     """
     missing = [name for name in VARIABLES if name not in os.environ]
     if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
-        missing.remove("GOMP_SPINCOUNT")  # The user has set how idle threads wait.
+        missing.remove("GOMP_SPINCOUNT")  # The user has chosen with OMP_WAIT_POLICY how idle threads wait.
     os.environ.update({name: VARIABLES[name]() for name in missing})
     _chosen.update(missing)
     return not (missing and "torch" in sys.modules)
 
 
 def share_cores() -> None:
-    """Make idle threads of child processes sleep immediately, because several child processes compute at a time."""
+    """Make idle threads of child processes sleep immediately, because several child processes compute at one time."""
     if "GOMP_SPINCOUNT" in _chosen:
         os.environ["GOMP_SPINCOUNT"] = "0"
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:
-    """Use the MKL code path that a run recorded, if this CPU supports the path and the user has not chosen a path.
+    """Use the MKL code path recorded with a run, unless this CPU lacks the path or the user has chosen a path.
 
-    Call this function before the first use of MKL. The import of tensordict uses MKL.
+    Call ``keep_kernels`` before the first use of MKL, for example before the import of tensordict.
     """
     kernels = recorded.get("MKL_CBWR")
     if "MKL_CBWR" in _chosen and kernels in (PORTABLE_KERNELS, matrix_kernels()):
@@ -164,7 +164,7 @@ def keep_kernels(recorded: Mapping[str, str]) -> None:
 def own_environ() -> dict[str, str]:
     """Return the environment variables for a child process, without the variables that this program has set.
 
-    A child process would treat inherited variables as the user's choice, and would ignore the MKL code path of a run.
+    A child process would treat inherited variables as the user's choice, and would ignore a run's MKL code path.
     """
     return {name: value for name, value in os.environ.items() if name not in _chosen}
 

@@ -1,14 +1,14 @@
-"""Find user projects, which declare packages for configs in ``pyproject.toml``, and folders that the user trusts.
+"""Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
-declaration is read from the installed distribution. Without installation, a project counts while the current folder is
-in it, or while ``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be
-imported. A declared package is imported only if a config names a target in the package. Packages that are not declared
-cannot be imported from the project.
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The declaration of an installed
+project is read from the installed distribution. Without installation, a project counts while the current folder is in
+it, or while ``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be
+imported. A package that a project declares is imported only if a config names a target in the package. Packages that a
+project does not declare cannot be imported from the project.
 
-An untrusted person may have written the record of a run, so the paths in a record are not trusted. A recorded path is
-used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``. Only
-``cli/main.py`` adds trusted folders, because only this module knows the user's command line.
+The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
+run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
+Only ``cli/main.py`` adds trusted folders, because only ``cli/main.py`` knows the user's command line.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from wheelleg_exp.paths import cache_dir
 
 
 def trust(folders: Iterable[Path]) -> None:
-    """Save the existing folders among those that the user has typed as trusted folders.
+    """Add the folders that the user has typed, and that exist, to the saved list of trusted folders.
 
-    If the list of trusted folders cannot be written, the user must name the folders again for a later command.
+    If the list of trusted folders cannot be saved, each later command must name the folders with ``--config-dir``.
     """
     known = _trusted()
     existing = map(os.path.realpath, filter(Path.is_dir, folders))
@@ -45,15 +45,15 @@ def trust(folders: Iterable[Path]) -> None:
 
 
 def is_trusted(path: str | Path) -> bool:
-    """Return whether a path leads to a trusted folder."""
+    """Return whether a path leads to a folder that the user trusts."""
     return real_path(path) in _trusted() - {""}
 
 
 def real_path(path: str | Path) -> str:
-    """Return the absolute path without symbolic links; an empty text for an invalid path."""
+    """Return an absolute path without symbolic links; return an empty text for an invalid path."""
     try:
         return os.path.realpath(path)
-    except ValueError:  # The text contains a null character.
+    except ValueError:  # The path contains a null character.
         return ""
 
 
@@ -70,11 +70,11 @@ def _trust_file() -> Path:
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
-# A folder with one of these files is never a project.
+# The files whose presence shows that a folder is not a user project.
 _RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")
 CONFIGS = "configs"
 _ROOT = 0  # the administrator's user id
-_SOURCES = ("", "src")  # The folders that can contain the packages of a project.
+_SOURCES = ("", "src")  # The folders inside a user project that can contain packages.
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Project:
 
 
 def read_project(folder: Path) -> Project | None:
-    """Return the project of a folder, or None if its ``pyproject.toml`` declares no packages for configs."""
+    """Return the user project in a folder; None if the folder's ``pyproject.toml`` declares no packages for configs."""
     file = folder / FILE
     try:
         text = file.read_text(encoding="utf-8") if file.is_file() else ""
@@ -133,7 +133,7 @@ def _package(value: Any, file: Path) -> str:
 
 
 def current_project() -> Project | None:
-    """Return the nearest project at or above the current folder, except inside a run, pipeline, sweep or bundle."""
+    """Return the nearest user project at or above the current folder; None inside a run, pipeline, sweep or bundle."""
     here = Path.cwd()
     above = (here, *here.parents)
     records = [number for number, folder in enumerate(above) if any((folder / name).is_file() for name in _RECORDS)]
@@ -146,7 +146,7 @@ def current_project() -> Project | None:
 
 
 def _require_own(project: Project) -> None:
-    """Raise ConfigError if a project belongs to another user, who could have put the project above the current folder.
+    """Raise ConfigError if a project above the current folder belongs to a different user of the computer.
 
     git has the same rule: being in a folder does not mean that the user trusts it.
     """
@@ -158,15 +158,15 @@ def _require_own(project: Project) -> None:
 
 
 def with_current(folders: Sequence[Path]) -> list[Path]:
-    """Return the given config folders, followed by the config folder of the current project.
+    """Return the given config folders, followed by the config folder of the user project around the current folder.
 
-    A missing folder is returned unchanged; the code that reads the folder reports the error.
+    The path of a missing folder is returned unchanged; the code that reads the folder raises an error.
     """
     found = [_resolved(folder) for folder in folders]
     try:
         project = current_project()
     except ConfigError as error:
-        if error.key in {str(folder.parent) for folder in found}:  # A project is trusted if the user names the project.
+        if error.key in {str(folder.parent) for folder in found}:  # Projects on the user's command line are trusted.
             return found
         raise
     if project is not None:
@@ -184,12 +184,12 @@ def _resolved(folder: Path) -> Path:
 
 
 def config_folder(folder: Path) -> Path:
-    """Return the absolute path of a config folder, given its path, its project, or an installed package's name."""
+    """Return the absolute path of a config folder, given as a path, a project, or an installed package's name."""
     absolute = Path(folder).expanduser().absolute()
     if absolute.is_dir():
         project = read_project(absolute)
         return project.configs if project is not None and project.configs.is_dir() else absolute
-    if str(folder) in installed_packages():  # Find the package's folder without an import of the package.
+    if str(folder) in installed_packages():  # Find the folder of an installed package without importing it.
         spec = importlib.util.find_spec(str(folder).split(".")[0])
         for place in spec.submodule_search_locations or () if spec is not None else ():
             for configs in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
@@ -208,8 +208,8 @@ def config_folder(folder: Path) -> Path:
 
 
 def installed_packages() -> tuple[str, ...]:
-    """Return the packages that installed distributions declare for configs."""
-    from importlib import metadata  # This import is too slow for the composition of a config.
+    """Return the packages that installed distributions allow configs to call."""
+    from importlib import metadata  # The import of importlib.metadata is too slow for composing a config.
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
@@ -221,17 +221,16 @@ _joined: dict[str, Project] = {}
 
 
 def join(project: Project) -> None:
-    """Allow configs to call the packages of a project, until the process ends."""
+    """Allow configs to call the packages that a user project declares, until the process ends."""
     for package in project.packages:
         _joined[package] = project
 
 
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
-    """Allow configs to call the packages of the given config folders; without given folders, use the recorded folders.
+    """Allow configs to call the packages of the given config folders or, if none is given, of a run's recorded folders.
 
     This function is the one rule for every record: a recorded folder is used only if it exists and is the current
-    project's or trusted. Recorded folders that are not trusted are ignored (see ``left_out``), because the caller may
-    not need them.
+    project's or trusted. Recorded config folders that are not trusted are ignored (see ``left_out``).
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:
@@ -243,36 +242,36 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
 
 
 def own_folders(recorded: Iterable[str]) -> list[Path]:
-    """Return the recorded config folders that are in use now or trusted by the user."""
+    """Return the config folders recorded with a run that are in use now or trusted by the user."""
     in_use = {real_path(project.configs) for project in _joined.values()}
     own = (folder for folder in recorded if real_path(folder) in in_use or is_trusted(folder))
     return [Path(folder) for folder in own if Path(folder).is_dir()]
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
-    """Return the recorded config folders that are missing in ``found``, each with the reason for the omission."""
+    """Return the config folders recorded with a run that ``found`` lacks, each with the reason for the omission."""
     used = {real_path(folder) for folder in found}
     others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
 
 
 def is_there(folder: str | Path) -> bool:
-    """Return whether a folder exists; False for an invalid name."""
+    """Return whether a folder exists; return False for an invalid folder name."""
     try:
         return Path(folder).is_dir()
-    except OSError:  # The folder name is invalid, for example too long.
+    except OSError:  # The name of the folder is invalid, for example too long.
         return False
 
 
 def join_folder(folder: Path) -> None:
-    """Allow configs to call the packages of the project that contains a config folder, if there is one."""
+    """If a user project contains the config folder, allow configs to call the packages of this project."""
     project = read_project(folder.parent) if folder.name == CONFIGS else None
     if project is not None:
         join(project)
 
 
 def forget(root: Path) -> None:
-    """Undo ``join`` for the project of a folder, and remove the project's modules from ``sys.modules``."""
+    """Undo ``join`` for the user project in a folder, and remove the project's modules from ``sys.modules``."""
     for package in [name for name, project in _joined.items() if project.root == root]:
         del _joined[package]
         top = package.split(".")[0]
@@ -282,18 +281,18 @@ def forget(root: Path) -> None:
 
 
 def joined_packages() -> tuple[str, ...]:
-    """Return the packages of the projects that are in use."""
+    """Return the packages of the user projects whose packages configs can call."""
     return tuple(_joined)
 
 
 def project_of(package: str) -> Project | None:
-    """Return the project in use that declares a package or the package's top-level package."""
+    """Return the user project in use that declares a package with the same top-level package."""
     top = package.split(".")[0]
     return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
 
 
 def make_importable(target: str) -> None:
-    """Make the package of a target importable if it belongs to a project in use."""
+    """Make the package of a target importable if a user project in use declares the package."""
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
         return
@@ -309,7 +308,7 @@ def make_importable(target: str) -> None:
 
 
 def make_classes_importable(node: Any) -> None:
-    """Call ``make_importable`` for every ``class_name`` in an agent's config, which rsl_rl imports itself."""
+    """Call ``make_importable`` for every ``class_name`` in an agent config; rsl_rl imports the classes."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             if key == "class_name":

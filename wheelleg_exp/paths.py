@@ -25,12 +25,12 @@ def _locate(name: str) -> Path:
 
 
 def configs_dir() -> Path:
-    """Return the folder of the stock configs."""
+    """Return the folder of the configs that are part of ``wheelleg_exp``."""
     return _locate("configs")
 
 
 def assets_dir() -> Path:
-    """Return the folder of the stock assets."""
+    """Return the folder of the robot files that are part of ``wheelleg_exp``."""
     return _locate("assets")
 
 
@@ -47,10 +47,10 @@ def cache_dir() -> Path:
 
 
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
-    """Return the file that an asset path in a config names; a missing file raises AssetError with the searched paths.
+    """Return the file that an asset path in a config names; AssetError lists the searched paths of a missing file.
 
-    A relative path is searched below each of the user's ``roots``, then below the stock assets. ``key`` is the config
-    key, and ``what`` is the type of file, such as robot file, in the error message.
+    A relative asset path is searched below each of the user's ``roots``, then below the stock assets. ``key`` is the
+    config key of the asset path; ``what`` names the type of file, such as robot file, in the error.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]
@@ -65,7 +65,7 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
 
 
 def show_file(file: Path, line: int | None = None) -> str:
-    """Return ``file:line``; the path is relative if the file is inside the current folder."""
+    """Return a file and line as ``file:line``; the path is relative if the file is inside the current folder."""
     try:
         shown = file.relative_to(Path.cwd())
     except ValueError:

@@ -1,6 +1,6 @@
 """Plain JSON, YAML, and archives: read foreign text safely, and write YAML that reads back equal.
 
-Each function that reads text returns a value, or raises ``Unreadable`` with the reason.
+Each function that reads JSON or YAML text returns the value, or raises ``Unreadable`` with the reason.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import yaml
 from wheelleg_exp.errors import RunDirectoryError
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# The deepest allowed nesting. Deeper nesting would crash the C parser before Python's recursion limit.
+# The deepest allowed nesting of YAML; deeper nesting would crash the C parser before Python's recursion limit.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
-# An archive is refused if its unpacked size exceeds this factor times its packed size, plus this number of bytes.
+# The largest unpacked size of an archive, as a factor of the packed size, and additional bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
-_MOST_BITS = 1023  # The largest integer that a float can represent has this number of bits.
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # Each of these characters can start a level of nesting.
+_MOST_BITS = 1023  # The number of bits of the largest integer that a float can represent.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # The characters that can start a nested value in YAML.
 
 
 class Unreadable(ValueError):
-    """A text is not valid JSON or YAML, or contains a value that this program never writes. Lines count from 1."""
+    """A text is not valid JSON or YAML, or contains a value that ``wheelleg`` never writes. Lines count from 1."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         super().__init__(problem)
@@ -55,12 +55,12 @@ def yaml_value(data: bytes | str) -> Any:
 
 
 def yaml_tree(data: bytes | str) -> yaml.Node | None:
-    """Return the node tree of a YAML text, which contains line numbers."""
+    """Return the nodes of a YAML text, each with its line number, as a tree."""
     return _read(data, lambda: yaml.compose(data, Loader=_LOADER), aliases=True)
 
 
 def require_bounded(archive: ZipFile) -> None:
-    """Raise Unreadable for a zip bomb; torch's archives compress only code, and contain numbers uncompressed."""
+    """Raise Unreadable for a zip bomb, an archive whose unpacked size is far larger than that of torch's archives."""
     parts = archive.infolist()
     if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
         raise Unreadable("the archive's unpacked size is too large for its file size")
@@ -80,7 +80,7 @@ class _PlainLoader(_LOADER):
 
 def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
     try:
-        # Refuse deep nesting, and refuse either all aliases or aliases that expand to too many nodes.
+        # Refuse a YAML text with deep nesting, with forbidden aliases, or with aliases that expand to too many nodes.
         raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
         if sum(map(raw.count, _OPENING)) >= _DEEPEST or b"&" in raw:
             sizes: dict[str | None, int] = {}
@@ -112,7 +112,7 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
 
 
 def _bounded(value: Any) -> Any:
-    """Return the value; raise Unreadable if it is nested too deeply, or has an integer beyond the range of float."""
+    """Return a value; raise Unreadable if the value is nested too deeply or has an integer beyond float's range."""
     waiting = [(value, 0)]
     while waiting:
         node, depth = waiting.pop()
@@ -140,16 +140,16 @@ def _no_number(name: str) -> Any:
 
 _SCALARS = (str, int, float, bool, type(None))
 
-# PyYAML reads a match of this pattern as text, but YAML 1.2 readers and OmegaConf read a number.
+# Matches text that PyYAML reads as text, but that YAML 1.2 readers and OmegaConf read as a number.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
-# PyYAML writes these line ends unchanged between single quotes, and reads a space instead of each line end.
+# The line-end characters that PyYAML writes unchanged in single quotes, but reads as spaces.
 _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 
 class _PlainDumper(yaml.SafeDumper):
     def ignore_aliases(self, _: Any) -> bool:
-        return True  # Write a shared value twice, so that readers of the YAML text do not need to resolve anchors.
+        return True  # Write a value that occurs twice as two copies, so that the YAML text contains no anchors.
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -164,8 +164,8 @@ _PlainDumper.add_representer(str, _represent_text)
 def dump_yaml(value: Any) -> str:
     """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
 
-    The value can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
-    value raises RunDirectoryError. Instances of subclasses, such as numpy scalars and enumerations, also raise
+    ``value`` can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
+    value raises RunDirectoryError. Numpy scalars, enumerations, and instances of other subclasses raise
     RunDirectoryError, because YAML would not preserve their type.
     """
     require_plain(value)
@@ -175,7 +175,7 @@ def dump_yaml(value: Any) -> str:
 
 
 def require_plain(value: Any, path: str = "") -> None:
-    """Raise RunDirectoryError, with the key, unless ``value`` is plain (see ``dump_yaml``)."""
+    """Raise RunDirectoryError with the key of the wrong part unless ``dump_yaml`` accepts ``value``."""
     if type(value) is dict:
         for key, item in value.items():
             if type(key) not in (str, int):

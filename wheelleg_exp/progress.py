@@ -15,7 +15,7 @@ _listener: ContextVar[Listener | None] = ContextVar("_listener", default=None)
 
 @contextmanager
 def progress_to(listener: Listener) -> Iterator[None]:
-    """Call ``listener(what, done, total)`` when work inside the block reports progress."""
+    """Call ``listener(what, done, total)`` when work inside the ``with`` block reports progress."""
     token = _listener.set(listener)
     try:
         yield
@@ -24,7 +24,7 @@ def progress_to(listener: Listener) -> Iterator[None]:
 
 
 def with_progress(what: str, items: Sequence[_Item]) -> Iterable[_Item]:
-    """Yield items, and report the number of finished items after each. ``what`` names the work: ``"making tiles"``."""
+    """Yield items; after each one, report the number of finished items. ``what`` names the work: ``"making tiles"``."""
     listener = _listener.get()
     for number, item in enumerate(items, start=1):
         yield item

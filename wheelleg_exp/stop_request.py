@@ -12,15 +12,15 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 def stop_signals() -> list[signal.Signals]:
-    """Return the signals that ask this program to stop, except ignored signals (``nohup``, a shell's ``&``)."""
+    """Return the signals that ask this program to stop, except signals ignored because of ``nohup`` or ``&``."""
     numbers = [signal.Signals[name] for name in _NAMES if hasattr(signal, name)]
     return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 class StopRequest:
-    """A context in which the first stop signal sets ``requested`` and a second stop signal raises ``Interrupted``.
+    """A context in which the first stop signal (Ctrl-C) sets ``requested`` and a second one raises ``Interrupted``.
 
-    A second hang-up signal raises nothing, because the system and the shell can each send one if a terminal is closed.
+    A second hang-up signal raises nothing, because both the system and the shell can send one when a terminal closes.
     """
 
     def __init__(self) -> None:
@@ -28,8 +28,8 @@ class StopRequest:
         self._before: dict[signal.Signals, signal._HANDLER] = {}
 
     def check(self, agreed: bool | None = None) -> None:
-        """Raise ``Interrupted`` if this process was asked to stop; ``agreed`` is the decision of all ranks, or None."""
-        self._listen()  # Imported code may have replaced the signal handlers.
+        """Raise ``Interrupted`` if a stop was requested; ``agreed`` is the training processes' decision, or None."""
+        self._listen()  # Imported code can have replaced the signal handlers of this program.
         if self.requested if agreed is None else agreed:
             raise Interrupted
 

@@ -10,7 +10,7 @@ COMMAND = "torchrun --nproc-per-node N --no-python wheelleg train ..."
 
 
 def world_size() -> int:
-    """Return the number of processes that torchrun has started; 1 without torchrun."""
+    """Return the number of processes that torchrun has started, or 1 without torchrun."""
     return number("WORLD_SIZE", 1)
 
 

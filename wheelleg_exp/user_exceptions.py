@@ -1,4 +1,4 @@
-"""Convert exceptions of user-defined code that would end the program without an error."""
+"""Convert exceptions, such as ``SystemExit``, with which user-defined code would end the program without an error."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 
 @contextmanager
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
-    """Convert an exception inside the block that would end the program to an error of ``kind``.
+    """Inside the ``with`` block, convert an exception that would end the program to an error of the class ``kind``.
 
-    Examples are ``SystemExit``, and a ``KeyboardInterrupt`` that user-defined code raised. The raised error contains
-    the original exception, and the file and line of the code that raised it.
+    ``SystemExit``, and a ``KeyboardInterrupt`` that user-defined code raised, would end the program. The new error
+    contains the original exception, and the file and line of the code that raised this exception.
     """
     try:
         yield
@@ -29,7 +29,7 @@ def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[Non
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Return whether the user has stopped the program; user-defined code can also raise ``KeyboardInterrupt``."""
+    """Return whether an exception means that the user stopped the program; user-defined code can imitate Ctrl-C."""
     asked = isinstance(error, Interrupted) or signal.getsignal(signal.SIGINT) is signal.default_int_handler
     return isinstance(error, KeyboardInterrupt) and asked
 
@@ -52,9 +52,9 @@ def place(error: BaseException) -> str | None:
 
 @contextmanager
 def importing(what: str) -> Iterator[None]:
-    """Restore the standard streams after the block, which imports modules that may be user-defined.
+    """Restore the standard streams after the ``with`` block, which imports a possibly user-defined module.
 
-    An import that would end the program, or that has closed a standard stream, raises ConfigError. Other exceptions
+    A module that ends the program or closes a standard stream during its import raises ConfigError. Other exceptions
     pass.
     """
     streams = {"stdout": sys.stdout, "stderr": sys.stderr}

@@ -1,4 +1,4 @@
-"""Run the console script ``wheelleg``. Each command of ``wheelleg`` is one module, and only the package ``cli`` prints.
+"""Run the console script ``wheelleg``. Each command of ``wheelleg`` is one module of the package ``cli``.
 
 | module | contents |
 |---|---|

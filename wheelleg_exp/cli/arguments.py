@@ -60,7 +60,7 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
 def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse also reports optional arguments as missing.
+    if missing is not None:  # argparse's error about missing arguments names even optional arguments.
         wanted = missing.group(1).split(", ")
         # Two positional arguments of a command can have equal names.
         names = [name for name in wanted if name not in optional] or wanted
@@ -103,7 +103,7 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--config-dir``; users can give the option several times in one command."""
+    """Add the option ``--config-dir`` to a command's parser; users can repeat the option in one command."""
     text = "a folder of your own configs, a project, or the name of an installed project, searched after the stock "
     text += "configs (repeatable); the project in the current folder is found without this option"
     parser.add_argument(
@@ -124,14 +124,14 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def print_json(document: Any) -> None:
     """Print one JSON document."""
     text = dump_json(document)
-    # Write control characters as JSON escapes, because the output stream would escape them in a different way.
+    # Write control characters as JSON escapes, because the output stream's own escapes are not valid JSON.
     if printable(text) != text:
         text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
     print(text, end="")
 
 
 def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
-    """Return a run's checkpoint by iteration or path, by default the last checkpoint; warn if the file was changed."""
+    """Return a run's checkpoint by iteration or path, by default the last one; warn if the checkpoint was changed."""
     if asked is None:
         checkpoint = directory.latest_checkpoint()
     elif asked.isdigit():
@@ -154,10 +154,9 @@ def source_document(source: Source) -> dict[str, Any]:
 
 
 def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
-    """Run a command in this process, which torchrun has started as one of several, and return the exit status.
+    """Run a command in one of several processes that torchrun has started, and return the exit status.
 
-    The process with rank 0 calls the function ``first``. All other processes call the function ``other``, which prints
-    nothing.
+    Rank 0 calls the function ``first``. All processes except rank 0 call the function ``other``, which prints nothing.
     """
     from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 

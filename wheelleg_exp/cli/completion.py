@@ -15,7 +15,7 @@ from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
 # The shell passes the command line up to the cursor in the environment variable LINE.
-# bash also passes the characters at which bash splits words, in the environment variable BREAKS.
+# bash passes the characters at which bash splits words in the environment variable BREAKS.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
 _QUERY = "query"
 
@@ -59,7 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a shell's completion script; if that script calls this command, print the completion candidates."""
+    """Print a shell's completion script, or the completion candidates if a completion script calls the command."""
     if args.shell != _QUERY:
         print(SCRIPTS[args.shell], end="")
         return EXIT_OK
@@ -71,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
 def answer(line: str, breaks: str | None = None) -> list[str]:
     """Return the completion candidates for the last word of a command line.
 
-    The argument ``breaks`` contains the characters at which bash splits words, and is None for other shells. bash
-    expects only the part of a candidate after its last word break, and a space after a complete candidate.
+    ``breaks`` contains the characters at which bash splits words, or is None for zsh and fish. bash expects only the
+    part of a candidate after its last word break, and a space after a complete candidate.
     """
     words, word, quote = split(line)
     try:
@@ -86,7 +86,7 @@ def answer(line: str, breaks: str | None = None) -> list[str]:
 
 
 def split(line: str) -> tuple[list[str], str, str]:
-    """Split a command line into its complete words, its unfinished last word, and the last word's opening quote."""
+    """Split a command line into complete words, the unfinished last word, and the opening quote of the last word."""
     for quote in ("", "'", '"'):
         try:
             words = shlex.split(line + quote)
@@ -99,7 +99,7 @@ def split(line: str) -> tuple[list[str], str, str]:
 
 
 def candidates(words: list[str], word: str) -> list[str]:
-    """Return the completion candidates for ``word``, the unfinished word of a command line after the given words."""
+    """Return the completion candidates for ``word``, the unfinished last word of a command line."""
     from wheelleg_exp.cli.main import COMMANDS
 
     typed = [w for w in words[1:] if w != "--debug"]
@@ -134,7 +134,7 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, 
 
 
 def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resumed: bool) -> list[str]:
-    """Return the completion candidates for one argument; the argument's name in the help determines its candidates."""
+    """Return the completion candidates for one command-line argument, based on the argument's name in the help."""
     name = str(action.metavar or action.dest)
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])

@@ -88,7 +88,7 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return the runs with the given names, each with a checkpoint; raise WheellegError if a name occurs twice."""
+    """Return the runs with the given names, each with a checkpoint; raise WheellegError for a repeated name."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
@@ -102,7 +102,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
 def evaluated(
     args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
-    """Evaluate the policy of one run; with the option ``--kept``, load the run's stored evaluation instead."""
+    """Evaluate the policy of one run, or load the run's stored evaluation if the option ``--kept`` is given."""
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
     if args.kept:

@@ -1,7 +1,7 @@
 """``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
-``wheelleg inspect`` without an action prints a summary of the recording. If the command line requests several actions,
-the actions run in the order of the tuple ``ACTIONS``.
+Without an action such as ``--play``, ``wheelleg inspect`` prints a summary of the recording. ``wheelleg inspect`` runs
+several requested actions in the order of the tuple ``ACTIONS``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Inspected:
-    """The recording, and the rows of the recording, that the command line selects."""
+    """The recording that the command line names, and the selected rows of this recording."""
 
     target: Target
     selection: Selection
@@ -37,7 +37,7 @@ class Inspected:
 
     @cached_property
     def recording(self) -> Recording:
-        """The opened recording; the first access to this property opens the file."""
+        """The opened recording; the first access to this property opens the recording file."""
         from wheelleg_exp.recording.reading.recording_reader import Recording
 
         return Recording(self.target.path, recording_id=self.recording_id)
@@ -49,8 +49,8 @@ class Result:
 
     document: Any
     show: Callable[[], None]
-    status: int = EXIT_OK  # The command returns the highest exit status of its actions.
-    notes: tuple[str, ...] = ()  # printed on standard error
+    status: int = EXIT_OK  # A command with several actions returns the highest exit status.
+    notes: tuple[str, ...] = ()  # Notes that the command prints on standard error.
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the requested actions; without an action, print the recording's summary or the statistics of ``--term``."""
+    """Run the requested actions; if no action is requested, print a recording's summary or statistics of ``--term``."""
     from wheelleg_exp.inspection.recording_target import find_target
 
     default = "stats" if args.term else "summary"
@@ -164,7 +164,7 @@ def _selection_of(args: argparse.Namespace) -> Selection:
 
 
 def _other_recording(args: argparse.Namespace) -> Recording:
-    """Return the recording that ``--compare`` names; the options ``--play`` and ``--id`` also select this recording."""
+    """Return the recording that ``--compare`` names; ``--play`` selects a run's play, and ``--id`` a recording id."""
     from wheelleg_exp.inspection.recording_target import find_target, names_a_run
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -351,7 +351,7 @@ def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
 def _open(_: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.rerun_viewer import open_window
 
-    with suppress(KeyboardInterrupt):  # Ctrl-C closes the window.
+    with suppress(KeyboardInterrupt):  # Ctrl-C closes the viewer's window.
         open_window(_readable(inspected))
     return Result({"closed": True}, lambda: None)
 
@@ -362,13 +362,13 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
     def say(line: str) -> None:
         print(line, file=sys.stderr if args.json else sys.stdout, flush=True)
 
-    with suppress(KeyboardInterrupt):  # Ctrl-C stops the server.
+    with suppress(KeyboardInterrupt):  # Ctrl-C stops the web server.
         serve(_readable(inspected), say, port=args.port or 0, browser=not args.no_browser)
     return Result({"closed": True}, lambda: None)
 
 
 def _readable(inspected: Inspected) -> Path:
-    """Return a recording's path after a test read, because rerun's viewer does not explain why a file is damaged."""
+    """Read a recording to detect damage, which rerun's viewer does not explain, and return the recording's path."""
     return Path(inspected.recording.path)
 
 
@@ -376,8 +376,8 @@ def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:
     return Result({"path": str(path), **facts}, lambda: print(f"wrote {path}{text}"))
 
 
-_ROWS = ("env", "iteration", "begin", "end")  # These options of ``wheelleg inspect`` select rows of a recording.
-# The action 'web' runs last, because its web server runs until the user stops the command.
+_ROWS = ("env", "iteration", "begin", "end")  # The options of ``wheelleg inspect`` that select rows of a recording.
+# The action 'web' runs last, because the web server runs until the user stops the command.
 ACTIONS = (
     Action("repair", _repair, ("output",)),
     Action("summary", _summary, _ROWS),

@@ -19,8 +19,8 @@ from wheelleg_exp.run import run_list
 from wheelleg_exp.run.run_list import RunSummary, SweepSummary
 from wheelleg_exp.run.timestamps import utc_text
 
-_NEVER = datetime.min.replace(tzinfo=UTC)  # This start time is used to sort a run whose start time is unknown.
-_LEAST_ID = 16  # A printed run id has at least this number of characters.
+_NEVER = datetime.min.replace(tzinfo=UTC)  # The assumed start time of a run with an unknown start.
+_LEAST_ID = 16  # The smallest number of characters of a printed run id.
 _PROBLEMS_SHOWN = 10
 _LEGEND = (
     f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode ended by "
@@ -54,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the requested list as a table or as JSON."""
+    """Print the list that ``wheelleg list`` was asked for, such as the runs, as a table or as JSON."""
     if args.kind not in _LISTS:
         expected, nearest = "one of " + ", ".join(_LISTS), nearest_name(args.kind, _LISTS)
         raise UsageError("wheelleg cannot list this", key=args.kind, expected=expected, nearest=nearest)
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     elif listed.no_rows and not rows:
         print(listed.no_rows)
     elif args.kind in ("runs", "sweeps"):
-        # Print a table of runs or sweeps. Below the table, print the problems of the runs or sweeps, and a legend.
+        # Print a table of runs or sweeps, and below the table their problems and a legend of the columns.
         width = max(screen_width() - table_width(listed.columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
         half = (width - 1) // 2
         for row in rows:  # Replace the middle of a long run id by '…', because run ids differ mostly at their ends.
@@ -125,7 +125,7 @@ def _terms(args: argparse.Namespace) -> Listed:
     from wheelleg_exp.config.explaining.catalog import MODULES, library, signature_of
     from wheelleg_exp.terms.term_binding import RESERVED, resolve_target
 
-    # The group 'reward' belongs to the config section 'rewards'. The command accepts the name of the group or section.
+    # ``wheelleg list terms`` accepts a config group such as 'reward', and a config section such as 'rewards'.
     section = {name: section for section in RESERVED for name in (section, section.removesuffix("s"))}.get(args.group)
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)
@@ -157,7 +157,7 @@ def _pipelines(args: argparse.Namespace) -> Listed:
     for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
             phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
-        except WheellegError as error:  # ``wheelleg train`` reports the whole error of a broken pipeline config.
+        except WheellegError as error:  # For a broken pipeline config, ``wheelleg train`` reports the whole error.
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
     for index in pipelines_below(_runs_folder(args.root)):
@@ -167,7 +167,7 @@ def _pipelines(args: argparse.Namespace) -> Listed:
 
 
 def _runs(args: argparse.Namespace) -> Listed:
-    """Return the table of runs. A sweep's table has columns for the swept keys, not for ``task`` and ``resume``."""
+    """Return the table of runs; for runs of a sweep, show the swept config keys instead of ``task`` and ``resume``."""
     folder = _runs_folder(args.root)
     every = run_list.list_runs(folder)
     if args.sweep is not None:
@@ -205,7 +205,7 @@ def _runs(args: argparse.Namespace) -> Listed:
 
 
 def _short(keys: Sequence[str]) -> list[str]:
-    """Shorten dotted config keys to their last parts; each short key differs from all other keys and column titles."""
+    """Shorten dotted config keys to their last parts, so that no short key equals another key or a column title."""
     taken = {"id", "status", *LISTED}
 
     def name(key: str, parts: int) -> str:
@@ -228,7 +228,7 @@ def _sweeps(args: argparse.Namespace) -> Listed:
 
 
 def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
-    """Return a run or sweep as a JSON document. A value that cannot be read from a damaged file is null."""
+    """Return a run or sweep as a JSON document; the value null means that a damaged file lacks the value."""
     return {**asdict(summary), "started": None if summary.started == _NEVER else utc_text(summary.started)}
 
 
@@ -266,7 +266,7 @@ def _percent(value: Any) -> str | None:
 
 
 def _survived(played: Mapping[str, Any]) -> str | None:
-    """Return survived and ended episodes of a play, such as ``60/64``; without the counts, return the survival rate."""
+    """Return a play's survived and ended episodes, such as ``60/64``, or the survival rate if a count is missing."""
     survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
     if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
         return _percent(survival)
@@ -275,7 +275,7 @@ def _survived(played: Mapping[str, Any]) -> str | None:
 
 
 def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
-    """Return the protocol of an evaluation and the survival rate of the first test as text, such as ``walk 100.0%``."""
+    """Return an evaluation's protocol, and the survival rate of the first test, as text such as ``walk 100.0%``."""
     metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
     if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
         return None

@@ -40,7 +40,7 @@ class Command:
     module: str
     help: str
     run: str = "run"  # The name of the function that runs the command and returns the exit status.
-    project: bool = True  # Whether the command reads the configs of the project in the current folder.
+    project: bool = True  # True if the command reads the configs of the user project in the current folder.
 
 
 COMMANDS: dict[str, Command] = {
@@ -73,10 +73,10 @@ COMMANDS: dict[str, Command] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status; ``argv`` contains the command-line words after ``wheelleg``."""
+    """Run one command of ``wheelleg`` and return its exit status; ``argv`` contains the words after ``wheelleg``."""
     prepare_threads()
     if argv is None:
-        # Run Python's garbage collector after 10,000 new objects instead of hundreds, but not when the process ends.
+        # Run Python's garbage collector only after every 10,000 new objects, and not at the end of the process.
         gc.set_threshold(10_000)
         atexit.register(gc.freeze)
     words = list(sys.argv[1:] if argv is None else argv)
@@ -95,7 +95,7 @@ def _answer(words: list[str], debug: bool) -> int:
         return _failed("interrupted", EXIT_INTERRUPTED, debug)
     except WheellegError as error:
         return _failed(str(error), error.exit_code, debug)
-    except BaseException as error:  # A user-defined module can also raise SystemExit during its import.
+    except BaseException as error:  # A user-defined module can raise SystemExit during its import.
         hint = "" if debug else " (--debug shows the traceback)"
         return _failed(f"{in_words(error)}{hint}", EXIT_FAILED, debug)
 
@@ -126,7 +126,7 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Load the project in the current folder; ``train`` and ``resume`` also trust the code in ``--config-dir``."""
+    """Load the user project in the current folder; for ``train`` and ``resume``, trust the code in ``--config-dir``."""
     if hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
         if args.command[1] in ("train", "resume"):
@@ -137,10 +137,10 @@ def _enter_project(args: argparse.Namespace) -> None:
 
 
 def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
-    """Parse options and overrides in any order; return None after ``--help`` or ``--version``."""
+    """Parse command-line options and config overrides in any order; return None after ``--help`` or ``--version``."""
     try:
         return parser.parse_intermixed_args(words)
-    except SystemExit:  # Only --help and --version raise SystemExit, because Parser.error raises UsageError.
+    except SystemExit:  # Only --help and --version raise SystemExit; mistakes raise UsageError.
         return None
 
 
@@ -167,7 +167,7 @@ def _failed(message: str, status: int, debug: bool) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP act like Ctrl-C inside the block. Only the main thread can set signal handlers."""
+    """Make SIGTERM and SIGHUP act like Ctrl-C inside the ``with`` block; do nothing outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""Define the command ``wheelleg play RUN`` with its options ``--drive`` and ``--script FILE``."""
+"""Define the command ``wheelleg play RUN`` with the options ``--drive`` and ``--script FILE``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate one episode with a trained policy, record the episode, and print its performance figures."""
+    """Simulate one episode with a trained policy, record the episode, and print performance figures of the episode."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)

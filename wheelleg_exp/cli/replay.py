@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Restore the source code of a run, repeat the training, and print how the new run differs from the original."""
+    """Restore a run's source code, repeat the training, and print how the new run differs from the original run."""
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:

@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the HTML report and print the path of the HTML file."""
+    """Write an HTML report about one or several runs, and print the path of the HTML file."""
     from wheelleg_exp.report import make_report
 
     made = make_report(args.run, args.root, args.output, args.command, pictures=not args.no_pictures)

@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate runs and write a table of their results; with ``--again``, reproduce an existing table of results."""
+    """Evaluate runs and write a table of the results; with ``--again``, reproduce an existing table of results."""
     from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:
@@ -55,7 +55,7 @@ def _write(args: argparse.Namespace) -> int:
     words = [word for word in args.runs if is_override(word)]
     if not names:
         raise WheellegError("the command line names no run to evaluate", key="RUN", expected="the runs of the table")
-    earlier_manifests(args.name, args.into)  # Do not overwrite a file that is not a results page.
+    earlier_manifests(args.name, args.into)  # Raise an error before overwriting a file that is not a results page.
     chosen = found(args, names)
     require_one_method([directory for directory, _ in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:
@@ -84,7 +84,7 @@ def _again(args: argparse.Namespace) -> int:
         known = ", ".join(pages) or "(there are none)"
         expected = f"names of results with --again, no runs and no overrides: {known}"
         raise WheellegError(message, key="NAME", expected=expected, nearest=nearest_name(missing[0], pages))
-    # Read all records first, so that a damaged record raises an error before the first training.
+    # Read the records of all runs first, so that a damaged record raises an error before the first training.
     records = {name: read_result(name, args.into) for name in names}
     differ = False
     trained: dict[str, RunDirectory] = {}

@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Resume a run from its last complete checkpoint, as if the training had never stopped."""
+    """Resume a run from the run's last complete checkpoint, as if the training had never stopped."""
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
@@ -77,7 +77,7 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
 
 
 def _opened(args: argparse.Namespace) -> RunDirectory:
-    """Return the run to resume; first make MKL use the matrix kernels that the run used before it stopped."""
+    """Return the run to resume; first make MKL use the matrix kernels that the run used before the interruption."""
     from wheelleg_exp.machine import keep_kernels
     from wheelleg_exp.run.run_directory import RunDirectory
 

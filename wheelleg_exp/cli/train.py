@@ -30,11 +30,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train one run, a sweep, or a pipeline, and print the result."""
+    """Train one run, a sweep, or a pipeline, and print the result of the training."""
     from wheelleg_exp.stop_request import StopRequest
     from wheelleg_exp.terms.key_syntax import names_pipeline
 
-    # Handle interrupts before any heavy import, because a C++ library can lose an interrupt during its import.
+    # Handle interrupts before heavy imports, because an interrupt can be lost while Python imports a C++ library.
     with StopRequest() as stop:
         if any(map(names_pipeline, args.overrides)):
             from wheelleg_exp.cli.train_pipeline import train_pipeline
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    """Train one run in this process, which has rank 0 if the training uses several processes."""
+    """Train one run in this process, which is the process with rank 0 if the training uses several processes."""
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed() if ranks else nullcontext():
@@ -122,7 +122,7 @@ def resume_hint(directory: RunDirectory) -> str:
 
 
 def print_trained(directory: RunDirectory, results: dict[str, Any] | None, *, as_json: bool) -> int:
-    """Print the results and the next commands of a training that was not interrupted; return the exit status."""
+    """Print the results of a training that was not interrupted, and useful next commands; return the exit status."""
     if results is None:
         return EXIT_INTERRUPTED
     if as_json:

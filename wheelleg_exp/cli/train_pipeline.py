@@ -45,10 +45,10 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
 
 
 def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
-    """Return a pipeline and its phases' configs; check that each phase can evaluate its pass condition.
+    """Return a pipeline and the configs of all phases; check that each phase can evaluate the phase's pass condition.
 
-    The argument ``words`` contains the config overrides of the pipeline and of all phases. A raised ConfigError lists
-    all mistakes that can be found before the first phase starts.
+    The argument ``words`` contains the config overrides of the pipeline and of all phases. A ConfigError from this
+    function lists all mistakes that can be found before the first phase starts.
     """
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, compose_pipeline
 
@@ -64,7 +64,7 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
 
 
 def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -> int:
-    """Resume a pipeline at the phase in which the pipeline stopped."""
+    """Resume a training pipeline at the phase in which the pipeline stopped."""
     from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline as prepare
     from wheelleg_exp.run.run_index import PipelineIndex
 

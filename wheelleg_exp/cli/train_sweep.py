@@ -26,7 +26,7 @@ _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTER
 
 
 def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
-    """Expand a sweep, check and train every job, and print the result."""
+    """Expand a sweep into jobs, check and train every job, and print the results."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
     from wheelleg_exp.config.composing.compose_sweep import compose_sweep
 
@@ -81,7 +81,7 @@ def _at_once(sweep: Sweep) -> int:
 
 
 def _joblib() -> ModuleType:
-    """Import joblib, and unset the environment variables that joblib sets, so that sweep jobs do not inherit them."""
+    """Import joblib, and unset the environment variables that joblib sets and that sweep jobs must not inherit."""
     before = set(os.environ)
     import joblib
 
@@ -104,7 +104,7 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
 
 
 def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
-    """Return the command that trains one job of a sweep alone."""
+    """Return the command that trains one job of a sweep without the sweep's remaining jobs."""
     return ["wheelleg", "train", *overrides, *(word for d in config_dirs for word in ("--config-dir", str(d)))]
 
 

@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check one run or compare two runs, and print the result; return status 1 if a check failed or the runs differ."""
+    """Check one run or compare two runs; return exit status 1 if a check failed or if the two runs differ."""
     from wheelleg_exp.run.run_directory import RunDirectory
     from wheelleg_exp.verify import compare_runs, verify_run
 

@@ -1,4 +1,4 @@
-"""Compose, check, and explain the config. Most checks of the config import neither torch nor MuJoCo.
+"""Compose, check, and explain the config; most checks of the config import neither torch nor MuJoCo.
 
 | module | contents |
 |---|---|

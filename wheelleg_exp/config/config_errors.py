@@ -1,4 +1,4 @@
-"""Join config errors, convert an error to JSON, and name the valid alternatives to an unknown name."""
+"""Join config errors, convert a config error to JSON, and list the valid alternatives to an unknown name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _OVERRIDE = "override "
 
 
 class Mistakes(ConfigError):
-    """An error that lists several config errors, one per line."""
+    """An error whose message lists several config errors, one per line."""
 
     def __init__(self, errors: Sequence[ConfigError]) -> None:
         lines = "\n".join(f"  {error}" for error in errors)
@@ -20,45 +20,45 @@ class Mistakes(ConfigError):
 
 
 class UnknownName(ConfigError):
-    """A value refers to a config key that does not exist; ``named`` is that key."""
+    """A config value refers to the config key ``named``, which does not exist."""
 
     named: str
 
 
 class AbsentKey(ConfigError):
-    """An override names a key that does not exist."""
+    """An override names a config key that does not exist."""
 
 
 def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where: str | None = None) -> ConfigError:
-    """Return the error for an unknown name. The error lists the valid names and suggests the most similar one."""
+    """Return the error for an unknown name, which lists the valid names and suggests the most similar one."""
     known = [str(valid) for valid in names]
     expected, nearest = "one of " + ", ".join(known), nearest_name(str(name), known)
     return ConfigError(message, key=key, where=where, expected=expected, nearest=nearest)
 
 
 def join(errors: Sequence[ConfigError]) -> ConfigError:
-    """Return one ConfigError that lists all of ``errors``; a single error is returned unchanged."""
+    """Join ``errors`` to one ConfigError that lists them; a single error is returned unchanged."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)
 
 
 def parts(error: ConfigError) -> list[ConfigError]:
-    """Return the separate errors inside an error that ``join`` returned."""
+    """Return the separate config errors inside an error that ``join`` returned."""
     return list(error.errors) if isinstance(error, Mistakes) else [error]
 
 
 def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> NoReturn:
-    """Raise one ConfigError that lists all of ``errors``."""
+    """Raise one ConfigError that lists all given ``errors``."""
     raise join(errors) from cause
 
 
 def override_of(error: WheellegError) -> str | None:
-    """Return the override that caused an error, as typed; None if a file caused the error."""
+    """Return the override that caused an error, as the user typed it; None if a config file caused the error."""
     where = error.where or ""
     return where.removeprefix(_OVERRIDE) if where.startswith(_OVERRIDE) else None
 
 
 def document(error: WheellegError) -> dict[str, Any]:
-    """Return the fields of an error as a mapping for JSON."""
+    """Return the fields of a config error as a mapping for JSON."""
     override = override_of(error)
     place, _, line = (error.where or "").rpartition(":")
     has_line = override is None and line.isdigit()

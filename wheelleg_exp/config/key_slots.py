@@ -1,4 +1,4 @@
-"""Find the slot, which has the type, default, bounds, and description, of each key that the config accepts.
+"""Find the type, default, bounds, and description of each key that the config accepts.
 
 The slot of a key comes from the code that reads the key: from the dataclass of a section, from the signature of a
 term, or from a class of rsl_rl.
@@ -27,16 +27,16 @@ from wheelleg_exp.terms.term_errors import type_hints
 
 REQUIRED = inspect.Parameter.empty
 _RSL_CLASS = "class_name"
-# A config cannot set these parameters, because rsl_rl itself passes them to its algorithms, networks, and extensions.
+# Parameters that a config cannot set, because rsl_rl passes them to algorithms, networks, and extensions.
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
-# The class of rsl_rl.extensions that reads a section of the algorithm, for sections without a `class_name`.
+# The rsl_rl.extensions class that reads each section of ``agent.algorithm`` without a `class_name`.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
-# rsl_rl reads these keys of a section, although the class's constructor has no parameters with these names.
+# Config keys that rsl_rl reads, although no constructor of rsl_rl has parameters with the names of the keys.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# The section whose terms a parameter names. Each key is the section of the term with the parameter ("": any section).
+# By section of a term ("": any section) and name of its parameter: the section whose terms the parameter names.
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
@@ -49,8 +49,8 @@ _NAMES = {
 class Slot:
     """The type, default, and description of one key that a config can set.
 
-    ``default`` is ``REQUIRED`` for a key without a default. ``reader`` is the dotted name of the class or function that
-    reads the key.
+    ``default`` is ``REQUIRED`` for a config key without a default. ``reader`` is the dotted name of the class or
+    function that reads the config key.
     """
 
     annotation: Any = Any
@@ -72,13 +72,13 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     element = None if above is None else _element(above, keys[-1])
     if element is None:
         return None
-    # A term does not inherit the description of the term's section.
+    # The description of a config section does not describe the terms in the section.
     inherited = "" if section_of(keys) is not None else element.meaning
     return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 
 
 def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the types and defaults of the subkeys of ``keys``; empty if ``keys`` accepts any subkey."""
+    """Return the types and defaults of the subkeys of the config key ``keys``; empty if any subkey is accepted."""
     node = at(tree, keys)
     section = section_of(keys)
     if section is not None and isinstance(node, Mapping) and TARGET in node:
@@ -103,7 +103,7 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
 
 
 def section_of(keys: Keys) -> str | None:
-    """Return the section of the term at the config key ``keys``; None if the key is not that of a term."""
+    """Return the config section of the term at the config key ``keys``; None if no term is at this key."""
     if len(keys) == 3 and keys[0] == "env" and keys[1] in RESERVED and keys[1] != "observations":
         return keys[1]
     observation = len(keys) == 5 and keys[:2] == ("env", "observations") and keys[3] == "terms"
@@ -116,12 +116,12 @@ def term_keys(keys: Keys) -> Keys | None:
 
 
 def named_section(section: str | None, name: str) -> str | None:
-    """Return the section whose terms a parameter names; ``section`` is the section of the term with the parameter."""
+    """Return the section whose terms a term's parameter names; ``section`` is the section of the term itself."""
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
 def target_of(node: Any) -> Callable[..., Any] | None:
-    """Return a node's target; None if the node has no target, or the target cannot be imported."""
+    """Return the function or class that a config node's target names; None without a target that can be imported."""
     name = node.get(TARGET) if isinstance(node, Mapping) else None
     try:
         return resolve_target(str(name), "") if name is not None else None
@@ -174,7 +174,7 @@ def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspec
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the types and defaults of a default object's attributes, for a parameter that is not set."""
+    """Return the types and defaults of the attributes of a parameter's default object."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
         return {}
@@ -196,7 +196,7 @@ def class_slots(found: Any, section: str) -> dict[str, Slot]:
 
 
 def extension_of(keys: Keys) -> Any | None:
-    """Return the class of rsl_rl that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for other keys."""
+    """Return the rsl_rl class that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for any other key."""
     if len(keys) != 3 or keys[:2] != ("agent", "algorithm") or keys[2] not in EXTENSIONS:
         return None
     from rsl_rl import extensions
@@ -205,12 +205,12 @@ def extension_of(keys: Keys) -> Any | None:
 
 
 def class_packages() -> tuple[str, ...]:
-    """Return the packages whose classes the ``agent`` section can name."""
+    """Return the packages whose classes the config section ``agent`` can name."""
     return ("rsl_rl", "wheelleg_exp.rl", *term_binding.allowed_packages())
 
 
 def rsl_class(name: Any) -> Any:
-    """Return the class of a ``class_name``; None if no allowed package contains the class."""
+    """Return the class that a ``class_name`` in the config names; None if no allowed package contains the class."""
     text = str(name).replace(":", ".")
     if "." in text and not term_binding.is_inside(text, class_packages()):
         return None
@@ -221,7 +221,7 @@ def rsl_class(name: Any) -> Any:
 
 
 def _element(above: Slot, key: str) -> Slot | None:
-    """Return the type of an element of a mapping or list; None if ``above`` is neither a mapping nor a list."""
+    """Return the type of a mapping's or list's elements; None if ``above`` is neither a mapping nor a list type."""
     element = dataclasses.replace(above, default=REQUIRED)
     for annotation in options_in(above.annotation):
         origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)

@@ -1,7 +1,7 @@
 """Define the fixed part of the composed config: its keys, their types, and their ranges.
 
-The keys of a section are the fields of the dataclass that reads the section. The annotation of a field defines the
-type and the range of its value (``constraints``).
+The keys of a config section are the fields of the dataclass that reads the section. The annotation of a dataclass field
+defines the type and the range of the config value (``constraints``).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Literal
 from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
 from wheelleg_exp.terms.config_sections import Env, Section
 
-# The dataclass whose fields are the keys of each section. A dataclass is imported when it is first needed.
+# For each config section, the dataclass whose fields are the section's keys, imported only when needed.
 OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
@@ -84,7 +84,7 @@ class PlayRecording:
 
 @dataclass(frozen=True)
 class PlayRoot:
-    """The top level of a play's config, with ``env`` and ``agent`` of the run, and the settings of the play."""
+    """The keys at the top level of a play's config: ``env`` and ``agent`` of the run, and the settings of the play."""
 
     seed: Seed
     play: Play
@@ -96,14 +96,14 @@ class PlayRoot:
 
 @dataclass(frozen=True)
 class PipelineRoot:
-    """The top level of a pipeline's config. The package ``wheelleg_exp.jobs.pipeline`` reads the phases."""
+    """The keys at the top level of a pipeline's config, whose phases ``wheelleg_exp.jobs.pipeline`` reads."""
 
     pipeline: Section
 
 
 @dataclass(frozen=True)
 class EvaluateRoot:
-    """The top level of an evaluation's config, with ``env`` and ``agent`` of the run, and the evaluation protocol."""
+    """The keys at the top level of an evaluation's config: ``env`` and ``agent`` of the run, and the protocol."""
 
     seed: Seed
     protocol: Section
@@ -111,7 +111,7 @@ class EvaluateRoot:
     agent: Section
 
 
-# The names of the rules of `wheelleg check --physics`, which `check.silence` can contain.
+# The rules of `wheelleg check --physics`, which the config key `check.silence` can name.
 PHYSICS_RULES: tuple[str, ...] = (
     "action_clip_never_acts", "action_scale", "armature_ratio", "assumed_masses", "balance_pose", "command_reach",
     "contact_at_start", "contact_threshold", "control_rate", "cumulative_randomisation", "discount_horizon",
@@ -127,12 +127,12 @@ PHYSICS_RULES: tuple[str, ...] = (
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether a dataclass in ``OPTIONS``, and not ``root``, defines the keys of the section at ``path``."""
+    """Return whether a dataclass in ``OPTIONS`` instead of ``root`` defines the keys of the section at ``path``."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 
 def options_of(path: str) -> type | None:
-    """Return the dataclass that reads the section at ``path``; None if ``OPTIONS`` lacks the section."""
+    """Return the dataclass that reads the config section at ``path``; None if ``OPTIONS`` lacks the section."""
     name = OPTIONS.get(path)
     if name is None:
         return None

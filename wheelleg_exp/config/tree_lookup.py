@@ -17,14 +17,14 @@ from wheelleg_exp.terms.key_syntax import Keys, split_path
 
 
 def file_text(file: Path) -> str:
-    """Return the text of a UTF-8 file. A pipe or device raises FileNotFoundError, because a read could wait forever."""
+    """Return the text of a UTF-8 file; raise FileNotFoundError for a pipe, because reading it could wait forever."""
     if not file.is_file():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
     return file.read_text(encoding="utf-8")
 
 
 def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
-    """Yield the key path and the value of each leaf of a tree. A leaf is a scalar, a list, or an empty mapping."""
+    """Yield the key path and value of each leaf (scalar, list, or empty mapping) of a config tree."""
     if isinstance(node, Mapping) and node:
         for key, value in node.items():
             yield from leaves(value, (*prefix, str(key)))
@@ -33,7 +33,7 @@ def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
 
 
 def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
-    """Yield the path of each mapping and of each single value below ``node``."""
+    """Yield the key path of each mapping and of each single value below ``node``."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             path = (*prefix, str(key))
@@ -42,7 +42,7 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
 
 
 def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
-    """Return the nested mapping that has the given values at the given key paths."""
+    """Return the nested mapping that has given values at given key paths."""
     tree: dict[str, Any] = {}
     for keys, value in entries.items():
         node = tree
@@ -53,7 +53,7 @@ def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
 
 
 def at(tree: Any, keys: Keys | str) -> Any:
-    """Return the node at a key path, which can contain list indices; None if the node does not exist."""
+    """Return the config node at a key path, which can contain list indices; None if the node does not exist."""
     for key in split_path(keys) if isinstance(keys, str) else keys:
         if isinstance(tree, Mapping):
             tree = tree.get(key)
@@ -65,13 +65,13 @@ def at(tree: Any, keys: Keys | str) -> Any:
 
 
 def section_at(tree: Any, keys: Keys | str) -> Mapping[str, Any]:
-    """Return the mapping at a key path, or an empty mapping if the tree has no mapping there."""
+    """Return the mapping at a key path of a config tree, or an empty mapping if the tree lacks it."""
     node = at(tree, keys)
     return node if isinstance(node, Mapping) else {}
 
 
 def select(node: Any, path: str) -> Any:
-    """Return the node at a dotted path; raise KeyError if the node does not exist."""
+    """Return the config node at a dotted path; raise KeyError if the node does not exist."""
     for key in split_path(path):
         names = {str(k): k for k in node} if isinstance(node, Mapping) else {}
         if key not in names:
@@ -81,7 +81,7 @@ def select(node: Any, path: str) -> Any:
 
 
 def yaml_node(file: Path) -> yaml.Node | None:
-    """Return a file's tree of YAML nodes, which contain the line of each key and value."""
+    """Return the tree of a file's YAML nodes, which contain the line of each key and value."""
     return _yaml_node(file, file.stat().st_mtime_ns)
 
 
@@ -129,21 +129,21 @@ def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
 class DefaultsEntry:
     """One ``key: value`` of a file's defaults list, such as ``override /reward@env.rewards: [alive]``."""
 
-    key: str  # without `override` and `optional`
+    key: str  # The group's name without the words `override` and `optional`.
     value: Any
     override: bool
     line: int
 
 
 def defaults_items(file: Path) -> list[yaml.Node]:
-    """Return the YAML nodes of a file's defaults list; empty if the file has no defaults list."""
+    """Return the YAML nodes of a config file's defaults list; empty if the file has no defaults list."""
     root = yaml_node(file)
     pairs = root.value if isinstance(root, yaml.MappingNode) else []
     return [item for key, value in pairs if key.value == "defaults" for item in value.value]
 
 
 def defaults_entries(file: Path) -> list[DefaultsEntry]:
-    """Return the entries of a file's defaults list that name a group."""
+    """Return the entries of a config file's defaults list that name a config group."""
     items = defaults_items(file)
     return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
 
@@ -155,7 +155,7 @@ def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
 
 
 def self_before_others(file: Path) -> bool:
-    """Return whether ``_self_`` is not the last entry of a defaults list, so that later entries overwrite the file."""
+    """Return whether entries after ``_self_`` in a file's defaults list overwrite the values of the file."""
     items = defaults_items(file)
     names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
     return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")

@@ -1,6 +1,6 @@
 """The facts besides the source on which a run's numbers depend: distributions, hardware, environment variables.
 
-This module imports neither torch nor MuJoCo. Versions of distributions are read from the installed metadata.
+The versions of packages are read from installed metadata, without an import of torch or MuJoCo.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
 from wheelleg_exp.run.git_commands import without_credentials
 
-# The versions of these Python distributions can change a number or a file of a run.
+# The Python packages whose versions can change a run's numbers or files.
 _DISTRIBUTIONS = (
     *("wheelleg_exp", "mujoco", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core", "omegaconf"),
     *("usd-core", "rerun-sdk", "tensorboard", "onnx"),
 )
 
-# Environment variables with these prefixes change computed numbers or the number of threads.
+# The prefixes of environment variables that change computed numbers or the number of threads.
 _NUMERICAL = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
     *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
 )
-# Environment variables with these prefixes select the devices or the code that a process uses.
+# The prefixes of environment variables that select the devices or the code that a process uses.
 _OF_MACHINE = (
     *("TRITON", "RSL_RL", "CUDA", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
@@ -42,7 +42,7 @@ _VARIABLES = re.compile(
     rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
 
-# Environment variables whose name matches this pattern can contain secrets, so their values are not stored.
+# The pattern of names of environment variables that can contain secrets and whose values are not stored.
 _SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY")
 
 _REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
@@ -51,7 +51,7 @@ _CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of Python and of the distributions that affect a run; None for a missing distribution."""
+    """Return the versions of Python and of the packages that affect a run; None for a package that is not installed."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in _DISTRIBUTIONS:
         try:
@@ -65,8 +65,8 @@ def versions() -> dict[str, str | None]:
 def hardware() -> dict[str, Any]:
     """Return the CPU's model and vector instructions, the number of CPU cores, the memory size, and the platform.
 
-    The value ``cores_usable`` is the number of CPU cores that this process can use within its container's limit. The
-    result has the key ``torch_cpu_capability`` only if torch is already imported.
+    ``cores_usable`` is the number of CPU cores that this process can use in its container. The returned mapping has the
+    key ``torch_cpu_capability`` only if torch is already imported.
     """
     memory = None
     with suppress(OSError):
@@ -88,10 +88,10 @@ def hardware() -> dict[str, Any]:
 
 
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
-    """Return the environment variables that can change results, sorted by name.
+    """Return the environment variables that can change the results of a run, sorted by name.
 
-    The argument ``also`` contains the names of additional variables, such as variables that a config requests.
-    A variable whose name contains a word such as ``TOKEN`` or ``PASSW`` is left out.
+    ``also`` contains the names of further environment variables to return, such as those that a config requests. An
+    environment variable whose name contains a word such as ``TOKEN`` or ``PASSW`` is left out.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
@@ -104,9 +104,9 @@ def replay_environ(
 ) -> dict[str, str]:
     """Return the environment variables for a process that must compute the same numbers as a recorded run.
 
-    Variables that change numbers, and the variables in ``also``, get the run's recorded values. A variable that changes
-    numbers and that the run did not have is unset. The values of the remaining variables (paths, devices, preloaded
-    libraries) do not change.
+    Environment variables that change computed numbers, and those in ``also``, get the values recorded with the run. An
+    environment variable that changes computed numbers is unset if the run did not have this variable. Environment
+    variables for paths, devices, and preloaded libraries keep their present values.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
@@ -124,15 +124,15 @@ def requested_variables(texts: Iterable[str]) -> list[str]:
 
 def distributions() -> list[str]:
     """Return ``name==version`` of every installed distribution, sorted, including local version labels."""
-    # Write a comment with the origin of a distribution that was not installed from a package index.
+    # For a package that was not installed from a package index, write a comment with the package's origin.
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
-        # Read only the header of each metadata file, because parsing the descriptions of 100 packages takes 1 s.
+        # Read only the header of each package's metadata, because parsing the descriptions of 100 packages takes 1 s.
         text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
         head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
-        if "Name" in head:  # A broken installation can leave a distribution's folder without metadata.
+        if "Name" in head:  # A broken installation of a package can lack metadata.
             key = re.sub(r"[-_.]+", "-", head["Name"]).lower()
-            # Ignore later distributions of one name, because Python imports the first on ``sys.path``.
+            # Of several packages with one name, keep the first on ``sys.path``, which is the one that Python imports.
             found.setdefault(key, f"{head['Name']}=={head.get('Version', '')}{_origin(distribution)}")
     return [found[key] for key in sorted(found)]
 
@@ -159,7 +159,7 @@ def environment_text(threads: Mapping[str, Any]) -> str:
 
 
 def _origin(distribution: metadata.Distribution) -> str:
-    """Return a comment with the origin of a distribution from a folder, an archive or a repository (PEP 610)."""
+    """Return a comment that names the folder, archive, or repository from which a package was installed (PEP 610)."""
     text = distribution.read_text("direct_url.json")
     if not text:
         return ""

@@ -26,20 +26,20 @@ class FileRecord(TypedDict):
 
 @dataclass
 class FileFindings:
-    """The sorted relative paths of the files that differ from a run's manifest."""
+    """The sorted relative paths of a run's files that differ from the run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # A file that was replaced by a symbolic link is also missing.
+    missing: list[str] = field(default_factory=list)  # Missing files, including files that a symbolic link replaces.
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=list)  # The symbolic links that the manifest does not name.
+    links: list[str] = field(default_factory=list)  # The symbolic links that the manifest does not list.
 
     def __bool__(self) -> bool:
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
-    """Return the size and sha256 of each file below ``directory``, except the manifest, locks, and temporary files."""
+    """Return the size and sha256 of each file below ``directory``; skip the manifest, locks, and temporary files."""
     return record_files(directory, _files(directory))
 
 
@@ -54,7 +54,7 @@ def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord
 
 
 def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
-    """Compare the files of ``directory`` with the recorded sizes and digests."""
+    """Compare the files below ``directory`` with the sizes and sha256 values in a manifest."""
     present = {relative_name(directory, path) for path in _files(directory)}
     found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
     for name in sorted(present & set(recorded)):
@@ -74,13 +74,13 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 def odd_entries(directory: Path) -> dict[str, str]:
     """Return the names and types of entries below ``directory`` that are neither folders nor regular files."""
     # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end.
-    # Files that are deleted during the search are ignored.
+    # The search for links, pipes, and devices ignores files that disappear meanwhile.
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):
             try:
                 mode = path.lstat().st_mode
-            # A running training can delete a temporary file between the listing and this line.
+            # A running training can delete a temporary file after the listing of the folder.
             except FileNotFoundError:
                 continue
             if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
@@ -90,10 +90,9 @@ def odd_entries(directory: Path) -> dict[str, str]:
 
 
 def relative_name(directory: Path, path: Path) -> str:
-    """Return ``path`` relative to ``directory``, with forward slashes; raise RunDirectoryError for a path outside.
+    """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
 
-    A relative ``path`` starts at the working directory if the result is below ``directory``, otherwise at
-    ``directory``.
+    A relative ``path`` that is not below ``directory`` when read from the working directory starts at ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):
@@ -103,7 +102,7 @@ def relative_name(directory: Path, path: Path) -> str:
 
 
 def is_inside(name: str) -> bool:
-    """Return whether a recorded relative path stays inside its directory."""
+    """Return whether a relative path from a manifest stays inside the run directory."""
     path = PurePosixPath(name)
     return bool(name) and not path.is_absolute() and ".." not in path.parts and not {"\\", "\0"} & set(name)
 

@@ -1,4 +1,4 @@
-"""Run git commands without changing the repository, and without running programs named in the git settings."""
+"""Run git commands that neither change the repository nor run programs named in the git settings."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _TIMEOUT_S = 300
 # A git object id has 40 hexadecimal digits, or 64 in a repository that uses sha256.
 OBJECT_ID = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
 
-# These environment variables redirect a git command to another repository or index. A git hook sets some of them.
+# The environment variables, set by git hooks for example, that redirect a git command to a different repository.
 _MISLEADING = (
     *("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX"),
     *("GIT_ALTERNATE_OBJECT_DIRECTORIES", "GIT_NAMESPACE", "GIT_EXTERNAL_DIFF", "GIT_DIFF_OPTS"),
     *("GIT_LITERAL_PATHSPECS", "GIT_GLOB_PATHSPECS", "GIT_NOGLOB_PATHSPECS", "GIT_ICASE_PATHSPECS"),
 )
 
-# These git settings prevent that a git command writes into the repository or runs a user-defined program.
+# Git settings that prevent git commands from writing into the repository and from running user-defined programs.
 _SETTINGS = dict.fromkeys(("core.fsmonitor", "core.splitIndex", "core.untrackedCache", "core.safecrlf"), "false")
 _SETTINGS |= {"core.hooksPath": os.devnull, "gc.auto": "0"}
 
 # Git must neither prompt for input nor download the objects that a partial clone lacks.
-# A download could run an untrusted program that the repository's settings name.
+# A download of git objects could run an untrusted program that the repository's settings name.
 _ALONE = {"LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "GIT_ALLOW_PROTOCOL": ""}
 
 
@@ -48,19 +48,19 @@ class Repository:
     """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)  # Additional environment variables of git commands.
-    settings: dict[str, str] = field(default_factory=dict)  # Replace git settings of the repository and the user.
+    environ: dict[str, str] = field(default_factory=dict)  # Environment variables to add for every git command.
+    settings: dict[str, str] = field(default_factory=dict)  # Git settings that replace the user's settings.
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
-        """Run one git command in the working tree and return its output; raise GitError if the command fails."""
+        """Run one git command in the working tree and return the command's output; raise GitError for a failure."""
         return run_git(self.top, *arguments, stdin=stdin, environ=self.environ, settings=self.settings)
 
     def text(self, *arguments: str) -> str:
-        """Run one git command and return its output as text without the last newline."""
+        """Run one git command and return the command's output as text without the last newline."""
         return os.fsdecode(self.run(*arguments)).removesuffix("\n")
 
     def maybe(self, *arguments: str) -> str | None:
-        """Run one git command and return its output as text; None when the command fails or prints nothing."""
+        """Run one git command and return the command's output as text; None if the command fails or prints nothing."""
         try:
             return self.text(*arguments) or None
         except GitError:
@@ -78,7 +78,7 @@ def run_git(
     environ: dict[str, str] | None = None,
     settings: dict[str, str] | None = None,
 ) -> bytes:
-    """Run one git command in ``folder`` and return its output; raise GitError if the command fails."""
+    """Run one git command in ``folder`` and return the command's output; raise GitError if the command fails."""
     kept = {k: v for k, v in os.environ.items() if k not in _MISLEADING} | _ALONE
     # Set git settings by environment variables, because ``git -c`` does not accept a name that contains ``=``.
     first = int(kept.get("GIT_CONFIG_COUNT") or 0)
@@ -109,15 +109,15 @@ def split_nul(output: bytes) -> list[str]:
 
 
 def join_nul(names: Iterable[str]) -> bytes:
-    """Join file names with a NUL byte after each name, as git reads them from standard input."""
+    """Return one text for git's standard input that contains the file names, with a NUL byte after each name."""
     return b"".join(os.fsencode(name) + b"\0" for name in names)
 
 
 @contextmanager
 def scratch_index(repository: Repository) -> Iterator[Repository]:
-    """Yield a copy of ``repository`` that uses a temporary copy of the index and a temporary object store.
+    """Yield a copy of ``repository`` that uses a temporary copy of git's index and a temporary git object store.
 
-    The user's index and object store do not change. No git filter program runs, so git adds the bytes on the disk.
+    Git commands on the yielded copy do not change the user's index and object store, and run no filter programs.
     """
     index = repository.top / repository.text("rev-parse", "--git-path", "index")
     objects = repository.top / repository.text("rev-parse", "--git-path", "objects")
@@ -126,7 +126,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
         (scratch / "objects" / "info").mkdir(parents=True)
         (scratch / "objects" / "info" / "alternates").write_bytes(os.fsencode(objects.resolve()) + b"\n")
         if index.is_file():
-            # Preserve the modification time of the index, because git finds changed files by this time.
+            # Preserve the modification time of git's index file, because git uses this time to find changed files.
             shutil.copy2(index, scratch / "index")
         environ = {"GIT_INDEX_FILE": str(scratch / "index"), "GIT_OBJECT_DIRECTORY": str(scratch / "objects")}
         off = {"clean": "", "smudge": "", "process": "", "required": "false"}
@@ -143,7 +143,7 @@ def filters(repository: Repository) -> list[str]:
 def without_credentials(url: str) -> str:
     """Return a URL without password, query, and fragment; keep the user name only for ``ssh`` URLs.
 
-    The short form ``git@host:path`` and local paths have no credentials and are returned unchanged.
+    A URL of the short form ``git@host:path`` and a local path contain no credentials and are returned unchanged.
     """
     if "://" not in url:
         return url

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# Scalars with this prefix are wall-clock times. All other scalars are equal in two equal runs.
+# The prefix of the scalars that are wall-clock times and can differ between two equal runs.
 _TIMES = "Perf/"
 
 
@@ -20,23 +20,23 @@ class Line:
 
     iteration: int
     digests: dict[str, str]  # by name
-    scalars: dict[str, Any]  # The scalars of the iteration by name, without wall-clock times.
-    digest_format: int | None = None  # The version of the algorithm that computes the digests.
+    scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
+    digest_format: int | None = None  # The version of the algorithm that computes hashes.
     content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
-    end: int = 0  # The position after the log line in the file, in bytes.
+    end: int = 0  # The position of the log line's end in the log file, in bytes.
 
 
 @dataclass(frozen=True)
 class IterationLog:
-    """The consecutive logged iterations of a run (``lines[i].iteration == i``), and the problems of the log file."""
+    """A run's logged training iterations, without gaps (``lines[i].iteration == i``), and the log file's problems."""
 
     lines: list[Line] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
-    cut_off: bool = False  # Whether the last line has no newline, for example after a crash.
+    cut_off: bool = False  # True if the last log line has no newline, for example after a crash.
 
 
 def read_log(path: Path) -> IterationLog:
-    """Read an iteration log up to its first damaged line; a missing log file has no iterations."""
+    """Read an iteration log up to the log's first damaged line; return an empty log for a missing file."""
     if not path.is_file():
         return IterationLog(problems=[f"there is no {path.name}"])
     log, end = IterationLog(), 0
@@ -54,12 +54,12 @@ def read_log(path: Path) -> IterationLog:
         else:
             kind = "repeats" if line.iteration < expected else "leaves a gap:"
             log.problems.append(f"line {number} {kind} iteration {line.iteration}, where {expected} was expected")
-        break  # Stop here, because log lines after a damaged line could have a wrong iteration number.
+        break  # Ignore log lines after a damaged line, because their iteration numbers can be wrong.
     return log
 
 
 def seconds_of(lines: Iterable[Mapping[str, Any]]) -> float:
-    """Return the time spent in training iterations, s; exclude setup, export, and pauses before a resume."""
+    """Return the time, s, that a run spent in training iterations, without setup, export, and pauses."""
     times = [line["scalars"].get(_TIMES + key) for line in lines for key in ("collection_time", "learning_time")]
     return float(sum(value for value in times if isinstance(value, (int, float))))
 

@@ -1,7 +1,7 @@
 """``manifest.json`` of a run: its settings, its end, and the digest of every file that the run wrote.
 
-The last key of ``manifest.json`` is ``sha256``, the digest of the file's own bytes; the digest reveals a changed byte.
-The type of every value is checked before the value is used.
+The last key of ``manifest.json``, ``sha256``, is a hash of the file's own bytes, which reveals a changed byte. The type
+of every value in a manifest is checked before the value is used.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from wheelleg_exp.user_exceptions import is_interrupt
 
 @dataclass(frozen=True)
 class Optional:
-    """Marks the type of a manifest value that can be missing or null."""
+    """The type of a manifest value that can be missing or null."""
 
     kind: Any
 
@@ -46,7 +46,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
     """Yield the key ``path``, or the keys below ``path``, whose values have the wrong type.
 
     A kind is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
-    kinds. A key of a mapping for which no kind is given can have any value.
+    kinds. A key for which no type is given can have any value.
     """
     if isinstance(kind, Optional):
         if value is not None:
@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # In format 1, the digest is computed from the values, not the bytes.
+FORMAT_WITH_VALUE_DIGEST = 1  # In manifest format 1, the hash covers the values, not the file's bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -110,9 +110,9 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 
 
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
-    """Return a document as JSON text whose last key, ``sha256``, is the digest of all bytes of this text.
+    """Return a document as JSON text whose last key, ``sha256``, is a hash of all bytes of the text.
 
-    To compute the digest, 64 zeros take the place of the digest in the JSON text. If ``broken`` is true, the text has
+    While the hash ``sha256`` is computed, 64 zeros take its place in the JSON text. If ``broken`` is true, the text has
     zeros instead of a digest: the old document did not match its digest, and a new digest would hide the change.
     """
     text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
@@ -131,8 +131,8 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether the values of a manifest of format 1 match its digest; None if the manifest has no digest."""
-    # Manifest format 1 rounded numbers before hashing, so a change of a number's last digits is not detected.
+    """Return whether the values of a manifest of format 1 match the manifest's hash; None without a hash."""
+    # Manifest format 1 hashes rounded numbers, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
     text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)
@@ -145,23 +145,23 @@ def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# A run writes these files only before its first step. All other files of the run can grow during the training.
+# The files that a run writes only before its first step; all other files of the run can grow during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
-# A resume replaces these manifest keys and stores their old values in ``resumes``.
+# The manifest keys that a resume replaces, and whose old values the resume stores in ``resumes``.
 _PROCESS_KEYS = (
     *("status", "error", "ended", "process", "versions", "hardware", "threads", "environment_variables"),
     "files",
 )
 
 _LOCK_TIMEOUT_S = 20.0
-# A resume's entry in the manifest has this key until the resume has written the changed snapshot files.
+# The key that a resume's entry in the manifest has until the resume has written the changed snapshot files.
 _PENDING = "files_to_write"
 
 
 @dataclass
 class Manifest:
-    """The manifest of one run directory. Every change reads, modifies, and replaces the file under a lock."""
+    """The manifest of one run directory; a change locks, reads, modifies, and replaces the manifest file."""
 
     path: Path
     data: dict[str, Any] = field(default_factory=dict)
@@ -177,7 +177,7 @@ class Manifest:
         threads: Mapping[str, Any],
         now: datetime | None = None,
     ) -> Manifest:
-        """Write the first manifest of a run, with status ``running`` and the files that already exist."""
+        """Write a run's first manifest, with the status ``running`` and the files that exist in the run directory."""
         path = directory / MANIFEST_NAME
         if path.exists():
             raise RunDirectoryError(f"the folder '{directory}' already contains a run", expected="a new run directory")
@@ -209,7 +209,7 @@ class Manifest:
 
     @classmethod
     def load(cls, directory: os.PathLike[str]) -> Manifest:
-        """Read the manifest of a run directory; raise RunDirectoryError if it is missing or damaged."""
+        """Read the manifest of a run directory; raise RunDirectoryError if the manifest is missing or damaged."""
         path = Path(directory) / MANIFEST_NAME
         if not path.is_file():
             raise RunDirectoryError(f"'{path.parent}' is not a run directory: it has no {MANIFEST_NAME}")
@@ -247,12 +247,12 @@ class Manifest:
 
     @property
     def status(self) -> str:
-        """The recorded status of the run, one of ``STATUSES``. A killed run still has the status ``running``."""
+        """The recorded status of the run, one of ``STATUSES``; a killed run has the recorded status ``running``."""
         return str(self.data["status"])
 
     @property
     def started(self) -> datetime:
-        """The time at which the run started."""
+        """The time at which the training run started."""
         return parse_utc(self.data["started"])
 
     @property
@@ -261,7 +261,7 @@ class Manifest:
         return self.data["results"]
 
     def matches_digest(self) -> bool | None:
-        """Return whether the manifest file matches its own digest; None for a manifest of format 1 without a digest."""
+        """Return whether the manifest matches the hash inside the manifest; None if format 1 has no hash."""
         if self.data["format"] == FORMAT_WITH_VALUE_DIGEST:
             return values_match_digest(self.data)
         with for_people(self.path, "read"):
@@ -284,10 +284,10 @@ class Manifest:
         *,
         now: datetime | None = None,
     ) -> None:
-        """Record how the run ended, and the digests of all files of the run; all these files must be closed.
+        """Record how the run ended, and the hash of every file of the run; all files of the run must be closed.
 
-        The entries of the argument ``results`` are added to the run's recorded results. The argument ``error`` is the
-        exception that made the run fail.
+        The entries of ``results`` are added to the results in the manifest. ``error`` is the exception that made the
+        run fail.
         """
 
         def change(data: dict[str, Any]) -> None:
@@ -311,9 +311,9 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        The new entry in the manifest's list ``resumes`` stores the old values of the replaced manifest keys, and the
-        ``facts`` about the resume. The argument ``texts`` contains, by relative name, the new contents of the snapshot
-        files that the overrides change.
+        A new entry in the manifest's list ``resumes`` stores the old values of replaced manifest keys, and ``facts``
+        about the resume. ``texts`` maps the relative path of each snapshot file that the overrides change to the file's
+        new text.
         """
         texts = dict(texts or {})
 
@@ -334,7 +334,7 @@ class Manifest:
         self.write_pending()
 
     def write_pending(self) -> None:
-        """Write the changed snapshot files of the last resume if the resume crashed before writing its files."""
+        """Write the changed snapshot files of the last resume if the resume crashed before it wrote these files."""
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
@@ -342,11 +342,11 @@ class Manifest:
             self._update(lambda data: data["resumes"][-1].pop(_PENDING, None))
 
     def amend_resume(self, **facts: Any) -> None:
-        """Add facts to the entry of the last resume in the manifest."""
+        """Add facts to the entry that describes the run's last resume in the manifest."""
         self._update(lambda data: data["resumes"][-1].update(json_plain(facts)))
 
     def record(self, **facts: Any) -> None:
-        """Record facts about the whole run by key, such as the id of the original run of a replay."""
+        """Record facts about the whole run in the manifest, such as the id of the run that this run replays."""
         self._update(lambda data: data.update(facts))
 
     def add(
@@ -360,8 +360,8 @@ class Manifest:
     ) -> dict[str, Any]:
         """Record the files and results that a command adds to a run that has ended; return the new manifest entry.
 
-        The argument ``kind`` is ``play``, ``evaluation``, or ``export``. All added files must be below the run
-        directory.
+        ``kind`` names the command that added the files: ``play``, ``evaluation``, or ``export``. All added files must
+        be below the run directory.
         """
         words = list(sys.argv if command is None else command)
         entry: dict[str, Any] = {"kind": kind, "when": utc_text(now or utc_now()), "command": words}
@@ -370,30 +370,30 @@ class Manifest:
         return self.data["additions"][-1]
 
     def recorded_files(self) -> dict[str, FileRecord]:
-        """Return the newest record of every file of the run, including the files that later commands added."""
+        """Return the newest size and hash of every file of the run, including files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        # The run recorded all its files when the run ended, so only files of later commands have newer records.
+        # A run records all its files when the run ends, so newer records exist only for files of later commands.
         earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
         later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
-        """Return whether a file of the run matches its newest recorded digest; True if no digest is recorded."""
+        """Return whether a file of the run matches the newest hash of the file in the manifest; True without a hash."""
         record = self.recorded_files().get(path.name)
         return record is None or record["sha256"] == sha256(path)
 
     def compare_files(self) -> FileFindings:
-        """Compare the run's files on the disk with their newest digests in the manifest."""
+        """Compare the run's files on the disk with the newest hash of each file in the manifest."""
         return compare_files(self.directory, self.recorded_files())
 
     @contextlib.contextmanager
     def finishing(self) -> Iterator[dict[str, Any]]:
-        """Record the end of the run when the ``with`` block ends.
+        """Record in the manifest that the run has ended when the ``with`` block ends.
 
-        The ``with`` block writes the run's results into the yielded dictionary. Ctrl-C sets
-        the run's status to ``interrupted``, and any other exception sets the status to ``failed``. An exception in the
-        block is re-raised, even if the manifest cannot be written.
+        The ``with`` block writes the run's results into the yielded dictionary. Ctrl-C sets the run's status to
+        ``interrupted``, and any other exception sets the status to ``failed``. An exception in the ``with`` block is
+        raised again, even if the manifest cannot be written.
         """
         results: dict[str, Any] = {}
         with self.failing(results):
@@ -416,7 +416,7 @@ class Manifest:
     def _update(self, change: Callable[[dict[str, Any]], None]) -> None:
         with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
             before = Manifest.load(self.directory)
-            # Write no new digest if the manifest was changed by hand, because a new digest would hide the change.
+            # If a user changed the manifest by hand, write no new hash, because a new hash would hide the change.
             was_changed = before.matches_digest() is False
             data = before.data
             change(data)

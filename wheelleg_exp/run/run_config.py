@@ -1,10 +1,10 @@
-"""Read the parameters, config, overrides, and robot from which a run was built.
+"""Read the parameters, the config, the overrides, and the robot's hashes from which a run was built.
 
 ``params/env.yaml`` and ``params/agent.yaml`` contain all parameters that rebuild the environment and agent of the run.
-Hydra's ``.hydra/config.yaml`` contains unresolved ``${...}``, and an untrusted person may have written it. Each
-``${...}`` is resolved from the config's own keys and from the environment variables stored with the run. Resolving
-reads no environment variable of this process and calls no user-defined resolver. Recorded overrides can change config
-values, but not Hydra's own settings.
+The file ``.hydra/config.yaml`` contains unresolved ``${...}`` and is not trusted. Each ``${...}`` in the config is
+resolved from the config's own keys and the environment variables stored with the run. To resolve ``${...}``, no
+environment variable of this process is read and no user-defined resolver is called. The overrides recorded with a run
+can change config values, but not Hydra's own settings.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from omegaconf.base import Container
 
 PARTS = ("env", "agent")
-# A trained policy depends on these keys of ``agent``. The remaining keys of ``agent`` affect only the training.
+# The keys of ``agent`` on which a trained policy depends; the remaining keys of ``agent`` affect only training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
-    """Raise RunDirectoryError if a parameter contains ``${``, because a run stores parameters with resolved values."""
+    """Raise RunDirectoryError if a parameter of the run contains ``${``, because runs store resolved parameters."""
     for key in _unresolved(params, ""):
         message = "the value contains '${', but parameters are not resolved again"
         raise RunDirectoryError(message, key=key, where=where, expected="a plain value")
@@ -51,13 +51,13 @@ def _unresolved(value: Any, key: str) -> Iterator[str]:
 
 
 def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
-    """Write ``env.yaml`` and ``agent.yaml`` below ``directory/params``; write no file if one value is invalid."""
+    """Write ``env.yaml`` and ``agent.yaml`` below ``directory/params``; write no file if a parameter is invalid."""
     for part, text in {part: dump_yaml(params[part]) for part in PARTS}.items():
         write_text(directory / "params" / f"{part}.yaml", text)
 
 
 def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the resolved parameters of the environment and of the agent from a run directory."""
+    """Return the resolved parameters of a run's environment and agent, read from the run directory."""
     paths = {part: Path(directory) / "params" / f"{part}.yaml" for part in PARTS}
     params = {part: _load_mapping(path) for part, path in paths.items()}
     for part, path in paths.items():
@@ -66,12 +66,12 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert an environment's parameters from the format of an older version to the current format."""
-    # An older version of wheelleg_exp may have written the parameters.
-    # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and only one engine existed.
+    """Convert an environment's parameters from the format of an older version of the program to the current format."""
+    # The parameters of a run can be in the format of an older version of wheelleg_exp.
+    # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
-        return dict(env)  # The config check reports a value of the wrong type.
+        return dict(env)  # The check of the config reports a value of the wrong type.
     scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
     if isinstance(scene.get("ground"), Mapping):
         plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
@@ -80,16 +80,16 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters with the physics engine changed to MuJoCo on the CPU."""
-    # Evaluations, plays, and exports simulate with MuJoCo on the CPU by default.
-    # Therefore their figures can be compared with each other, and no GPU is needed.
+    """Return an environment's parameters, but with MuJoCo on the CPU as the physics engine."""
+    # By default, evaluations, plays, and exports simulate with MuJoCo on the CPU, because this needs no GPU.
+    # The figures of two evaluations or plays are comparable if both simulate with one physics engine.
     if not isinstance(env.get("sim"), Mapping):
-        return dict(env)  # The config check reports a value of the wrong type.
+        return dict(env)  # The check of the config reports a value of the wrong type.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
 def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's composed config with unresolved ``${...}``; raise RunDirectoryError if the file is missing."""
+    """Return a run's composed config with unresolved ``${...}``; raise RunDirectoryError if the config is missing."""
     return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
 
 
@@ -100,18 +100,18 @@ def _load_mapping(path: Path) -> dict[str, Any]:
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-# The run directory stores these config sections only with unresolved interpolations.
+# The config sections that a run directory stores only with unresolved interpolations.
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
-_MAX_STEPS = 10_000  # One config can resolve at most this number of interpolations.
-_MAX_LETTERS = 100_000  # All texts with an interpolation may have at most this number of letters in total.
+_MAX_STEPS = 10_000  # The largest number of interpolations that are resolved in one config.
+_MAX_LETTERS = 100_000  # The largest total number of letters of the texts with interpolations.
 _NO_DEFAULT = object()
-# A recorded override must not be an option or a setting of Hydra itself, and must not call a resolver.
+# Matches an option, a setting of Hydra itself, or a resolver call, none of which is allowed in recorded overrides.
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the resolved config sections ``SECTIONS`` (None if missing); use only the given environment variables."""
+    """Return the resolved config sections ``SECTIONS`` of a run; use only the given environment variables."""
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
     if not isinstance(tree, dict):
@@ -135,7 +135,7 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
 
 
 def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return a run's config with unresolved ``${...}``; return an empty mapping if the file cannot be read."""
+    """Return a run's config with unresolved ``${...}``; return an empty mapping if the config file cannot be read."""
     try:
         config = read_yaml(Path(directory) / CONFIG)
     except RunDirectoryError:
@@ -153,9 +153,9 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Raise RunDirectoryError unless each recorded word is a config override; the error names the file ``path``."""
-    # A config is composed from the recorded words, and an untrusted person may have written these words.
-    # Therefore command options, Hydra's own settings, and calls of OmegaConf resolvers raise an error.
+    """Raise RunDirectoryError, which names the file ``path``, unless each word in this file is a config override."""
+    # The overrides that a run stores are not trusted, although a config is composed from them.
+    # Words that are command options, set Hydra's own settings, or call OmegaConf resolvers raise an error.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
@@ -163,7 +163,7 @@ def require_overrides(words: Iterable[Any], path: Path) -> None:
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the identity of a run's robot: ``sources``, the sha256 of each robot file, and ``model_sha256``."""
+    """Return the sha256 of each robot file of a run (``sources``) and of the robot's compiled model."""
     path = Path(directory) / ROBOT
     identity = read_json(path)
     for wrong in mistyped_keys(identity, {"model_sha256": str, "sources": {str: str}}):
@@ -175,11 +175,10 @@ def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
 def resolved(
     tree: Mapping[str, Any], variables: Mapping[str, str], absent: Callable[[str], Any], sections: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """Return a config, or some of its sections, with each ``${...}`` resolved from the config and the given variables.
+    """Return a config or some config sections; each ``${...}`` is resolved from the config and the given variables.
 
-    The argument ``variables`` maps the name of each environment variable to the value of ``${oc.env:NAME}``. The
-    function ``absent`` returns the value of a variable that is missing in ``variables`` and has no default in the
-    config.
+    ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. ``absent`` returns the
+    value of an environment variable that has neither an entry in ``variables`` nor a default in the config.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
@@ -208,7 +207,7 @@ def _strings(node: Any) -> Iterator[str]:
 
 @contextmanager
 def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
-    """Inside the block, allow OmegaConf only resolvers that read the config, and limit the number of resolver calls."""
+    """Inside the ``with`` block, let OmegaConf call only a limited number of resolvers that read the config."""
     from omegaconf import OmegaConf
     from omegaconf.base import Container
     from omegaconf.basecontainer import BaseContainer

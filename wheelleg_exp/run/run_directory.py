@@ -1,7 +1,7 @@
 """Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
 
-A folder with the index file of a pipeline is not a run directory. The error for such a folder lists the run directories
-of the pipeline's phases.
+A folder with the index file of a pipeline is not a run directory. The error for the folder of a pipeline lists the run
+directories of the pipeline's phases.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entrie
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
-# The task name and ``run.name`` must match this pattern, because both are parts of a run directory's path.
+# The pattern of a task name and of ``run.name``, which are parts of a run directory's path.
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
@@ -44,12 +44,12 @@ PIPELINE_NAME = "pipeline.json"
 
 
 def is_pipeline(folder: Path) -> bool:
-    """Return whether a folder has a pipeline's index but no manifest; a folder with a manifest is a run directory."""
+    """Return whether a folder has a pipeline's index file but no manifest; a manifest would mark a run directory."""
     return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
 
 
 def pipeline_error(folder: Path) -> RunDirectoryError | None:
-    """Return the error for a pipeline's folder that a user gives instead of a run; return None for other folders."""
+    """Return the error for a pipeline's folder that a user gives instead of a run; None for any other folder."""
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
@@ -69,9 +69,9 @@ LATEST, AGENTS, SWEEPS = "latest", "agents", "sweeps"
 REPLAYS, PIPELINES = "replays", "pipelines"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
-FAILURE = "failure.npz"  # This file contains the simulation state that made a training fail.
+FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
-# The environment and agent of a run can be rebuilt from these files.
+# The files from which the environment and agent of a run can be rebuilt.
 NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
 
 
@@ -105,11 +105,10 @@ class RunDirectory(os.PathLike[str]):
         *,
         section: str | None = None,
     ) -> RunDirectory:
-        """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]`` in local time.
+        """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``; the time is local.
 
-        If the folder already exists, the suffix ``-2``, ``-3``, … makes the name unique. If ``section`` is
-        ``agents`` or ``replays``, the directory is created in the subfolder ``section`` of the root; the name
-        ``latest`` and the list of runs ignore this subfolder.
+        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. A ``section``,
+        ``agents`` or ``replays``, is a subfolder of ``root`` for runs that ``latest`` and the list of runs ignore.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
@@ -124,10 +123,10 @@ class RunDirectory(os.PathLike[str]):
 
     @classmethod
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
-        """Find a run directory by its path, by its id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
+        """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        If ``odd`` is true, the run directory can contain links, pipes, and devices. The caller must report the links,
-        pipes, and devices, and must not open them.
+        If ``odd`` is true, links, pipes, and devices in the run directory raise no error. With ``odd``, the caller must
+        report links, pipes, and devices in the run directory, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
@@ -148,25 +147,25 @@ class RunDirectory(os.PathLike[str]):
         above = self.path.parent.parent
         return above.parent if above.name in (AGENTS, REPLAYS) else above
 
-    params = _PathInside("params")  # This folder contains the parameter files ``env.yaml`` and ``agent.yaml``.
-    hydra = _PathInside(".hydra")  # This folder contains the files that Hydra writes.
-    source = _PathInside("source")  # This folder contains the recorded state of the source code.
-    asset = _PathInside("asset")  # This folder contains the robot's model files.
-    exported = _PathInside("exported")  # This folder contains the exported policies.
-    play = _PathInside("play")  # This folder contains the recordings of plays after the training.
-    videos = _PathInside("videos")  # This folder contains the videos of the training.
-    dataset = _PathInside("dataset")  # This folder contains the episodes that recorders saved during the training.
-    evaluation = _PathInside("evaluation")  # This folder contains the evaluation results.
-    recording = _PathInside("recording.rrd")  # This file contains the recording of the training.
-    iterations = _PathInside("iterations.jsonl")  # This file contains one line of JSON for each training iteration.
-    environment = _PathInside("environment.txt")  # This file lists the installed Python distributions.
+    params = _PathInside("params")  # The folder with the parameter files ``env.yaml`` and ``agent.yaml``.
+    hydra = _PathInside(".hydra")  # The folder with the files that Hydra writes.
+    source = _PathInside("source")  # The folder with the recorded state of the source code.
+    asset = _PathInside("asset")  # The folder with the robot's model files.
+    exported = _PathInside("exported")  # The folder with the exported policies of a run.
+    play = _PathInside("play")  # The folder with the recordings of plays after the training.
+    videos = _PathInside("videos")  # The folder with the videos of the training.
+    dataset = _PathInside("dataset")  # The folder with the episodes that recorders saved during the training.
+    evaluation = _PathInside("evaluation")  # The folder with the results of a run's evaluations.
+    recording = _PathInside("recording.rrd")  # The file with the recording of the training.
+    iterations = _PathInside("iterations.jsonl")  # The file with one line of JSON for each training iteration.
+    environment = _PathInside("environment.txt")  # The file that lists the installed Python packages.
 
     def manifest(self) -> Manifest:
-        """Read the manifest; raise RunDirectoryError if it is missing or damaged."""
+        """Read the manifest of the run; raise RunDirectoryError if the manifest is missing or damaged."""
         return Manifest.load(self.path)
 
     def inside(self, name: str) -> Path:
-        """Return the path of a file in the run directory; raise RunDirectoryError for a path outside."""
+        """Return the path of a file in the run directory; raise RunDirectoryError for a path outside this directory."""
         if not is_inside(name) or not (self.path / name).resolve().is_relative_to(self.path.resolve()):
             raise RunDirectoryError(f"the path '{name}' is outside the run directory", expected="a path below it")
         return self.path / name
@@ -178,14 +177,14 @@ class RunDirectory(os.PathLike[str]):
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
-        """Return the path of the newest checkpoint; raise RunDirectoryError if the run has no checkpoint."""
+        """Return the path of the run's newest checkpoint; raise RunDirectoryError if the run has no checkpoint."""
         found = self.checkpoints()
         if not found:
             raise RunDirectoryError(f"the run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")
         return found[-1]
 
     def checkpoint(self, iteration: int) -> Path:
-        """Return the checkpoint of one iteration; the error for a missing checkpoint names the nearest checkpoint."""
+        """Return the path of one iteration's checkpoint; the error for a missing checkpoint names the nearest one."""
         found = {checkpoint_iteration(path): path for path in self.checkpoints()}
         if iteration in found:
             return found[iteration]
@@ -196,7 +195,7 @@ class RunDirectory(os.PathLike[str]):
 
 
 def checkpoint_iteration(path: Path) -> int:
-    """Return the iteration from a checkpoint's file name; raise RunDirectoryError if the name has another format."""
+    """Return the iteration in a checkpoint's file name; raise RunDirectoryError for a name without an iteration."""
     match = CHECKPOINT.fullmatch(path.name)
     if match is None:
         raise RunDirectoryError(f"'{path.name}' is not a checkpoint's file name", expected="model_<iteration>.pt")

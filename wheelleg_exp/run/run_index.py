@@ -1,7 +1,7 @@
-"""The index files of several runs: ``sweep.json`` of a sweep and ``pipeline.json`` of a pipeline.
+"""The index files of several runs: ``sweep.json`` lists the runs of a sweep, ``pipeline.json`` those of a pipeline.
 
-Each index file is in a separate folder below the folder of all runs, and contains the paths of run directories. Every
-change replaces the whole index file.
+Each sweep or pipeline has a folder below the folder of all runs; its index file lists the paths of run directories.
+Every change of an index replaces the whole index file.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _RunIndex:
     def _create(
         cls, root: str | Path, command: Sequence[str], moment: datetime | None, entries: list[dict[str, Any]]
     ) -> Self:
-        """Create the folder ``<root>/<section>/<time>``, and write the keys that all index files have into ``data``."""
+        """Create the folder ``<root>/<section>/<time>``, and set the keys of ``data`` that all index files have."""
         moment = moment or utc_now()
         index = cls(create_exclusively(Path(root) / cls.SECTION, folder_text(moment)))
         index.data = {
@@ -78,7 +78,7 @@ class _RunIndex:
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read the index file in a folder; raise RunDirectoryError if the file is missing, damaged, or unknown."""
+        """Read the index file in a folder; raise RunDirectoryError for a missing, damaged, or unknown index file."""
         path = Path(folder) / cls.FILE
         data = read_json(path)
         if not isinstance(data, dict) or not isinstance(data.get(cls.ENTRIES), list):
@@ -95,11 +95,11 @@ class _RunIndex:
         return self.folder / self.FILE
 
     def run_of(self, entry: Mapping[str, Any]) -> Path | None:
-        """Return the absolute run directory of a sweep job or pipeline phase; None before the run of the job starts."""
+        """Return the absolute run directory of a sweep job or pipeline phase; None if its training has not started."""
         return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
 
     def relative(self, path: Path) -> str:
-        """Return a run directory's path relative to the folder of the index."""
+        """Return a run directory's path relative to the folder of the index file."""
         return Path(os.path.relpath(path, self.folder)).as_posix()
 
     def write(self) -> None:
@@ -110,11 +110,11 @@ class _RunIndex:
 class SweepIndex(_RunIndex):
     """The index of one sweep.
 
-    ``data`` contains ``format``, ``id``, ``status`` (``running``, ``finished``, ``failed`` if a job did not finish,
-    ``interrupted``), ``command``, ``working_directory``, ``started``, ``ended``, ``process``, ``launcher`` and
-    ``jobs``. A job has ``number`` (from 1), ``overrides`` (the whole list that trains this job), ``swept`` (the
-    overrides in which the jobs differ), ``status``, ``run`` (relative to the index), ``started``, ``ended``,
-    ``results`` (of the run) and ``error``. A job that never started has the status ``waiting``.
+    The index of a sweep has the keys ``format``, ``id``, ``status``, ``command``, ``working_directory``, ``started``,
+    ``ended``, ``process``, ``launcher`` and ``jobs``. A sweep's ``status`` is ``running``, ``finished``,
+    ``interrupted``, or ``failed`` if a job did not finish. A job of a sweep has ``number`` (from 1), ``overrides`` (all
+    overrides of the job), ``swept`` (the overrides in which jobs differ), ``status``, ``run`` (path relative to the
+    index), ``started``, ``ended``, ``results`` and ``error``. A job that never started is ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -129,9 +129,9 @@ class SweepIndex(_RunIndex):
         jobs: Sequence[tuple[Sequence[str], Sequence[str]]],
         now: datetime | None = None,
     ) -> SweepIndex:
-        """Create the folder and the index of a new sweep below ``root``, the folder of all runs.
+        """Create the folder and the index file of a new sweep below ``root``, the folder of all runs.
 
-        For each job, the argument ``jobs`` contains all config overrides, and the overrides in which the jobs differ.
+        ``jobs`` contains, for each job of the sweep, all config overrides and the overrides in which the jobs differ.
         """
         entries: list[dict[str, Any]] = []
         for number, (overrides, swept) in enumerate(jobs, 1):
@@ -148,7 +148,7 @@ class SweepIndex(_RunIndex):
         return self.data["jobs"]
 
     def write_multirun(self, text: str) -> None:
-        """Write the Hydra config of the whole sweep."""
+        """Write the config that Hydra composed for the whole sweep."""
         write_text(self.folder / MULTIRUN_NAME, text)
 
     def job_started(self, number: int) -> None:
@@ -156,7 +156,7 @@ class SweepIndex(_RunIndex):
         self._update_job(number, status="running", started=utc_text(utc_now()))
 
     def job_has_run(self, number: int, run: Path) -> None:
-        """Record the run directory of a job."""
+        """Record the run directory of a sweep job in the sweep's index."""
         self._update_job(number, run=self.relative(run))
 
     def job_ended(self, number: int, status: JobStatus, results: Mapping[str, Any], error: Any = None) -> None:
@@ -164,7 +164,7 @@ class SweepIndex(_RunIndex):
         self._update_job(number, status=status, ended=utc_text(utc_now()), results=dict(results), error=error)
 
     def finish(self, status: SweepStatus) -> None:
-        """Record how the sweep ended; a job that is still running counts as interrupted."""
+        """Record how the sweep ended; a job without a recorded end counts as interrupted."""
         for job in self.jobs:
             if job["status"] == "running":
                 job |= {"status": "interrupted", "ended": utc_text(utc_now())}
@@ -179,12 +179,12 @@ class SweepIndex(_RunIndex):
 class PipelineIndex(_RunIndex):
     """The index of one pipeline.
 
-    ``data`` contains ``format``, ``id``, ``name``, ``status`` (``running``, ``finished``, ``stopped`` at a gate that
-    was not passed, ``failed``, ``interrupted``), ``why``, ``command``, ``working_directory``, ``config_dirs``,
-    ``root``, ``overrides`` (of all phases), ``started``, ``ended``, ``process``, ``resumes``, ``config`` (the declared
-    pipeline) and ``phases``. A phase has ``name``, ``status``, ``why`` (the reason to continue or to stop), ``digest``
-    (of its config), ``run`` and ``init_from`` (both relative to the index), ``trained`` (the number of finished
-    iterations, as far as known), ``gates`` (the result of each evaluation), ``started`` and ``ended``.
+    The index of a pipeline has the keys ``format``, ``id``, ``name``, ``status``, ``why``, ``command``,
+    ``working_directory``, ``config_dirs``, ``root``, ``overrides`` (of all phases), ``started``, ``ended``,
+    ``process``, ``resumes``, ``config`` (the declared pipeline) and ``phases``. A pipeline's ``status`` is ``running``,
+    ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not pass. A phase has ``name``, ``status``,
+    ``why`` (reason to continue or stop), ``digest`` (config hash), ``run`` and ``init_from`` (paths relative to the
+    index), ``trained`` (finished iterations), ``gates`` (evaluation results), ``started`` and ``ended``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
@@ -201,10 +201,10 @@ class PipelineIndex(_RunIndex):
         digests: Mapping[str, str],
         now: datetime | None = None,
     ) -> PipelineIndex:
-        """Create the folder and the index of a new pipeline below ``root``, the folder of all runs.
+        """Create the folder and the index file of a new pipeline below ``root``, the folder of all runs.
 
-        ``config`` is the pipeline's config as JSON values, ``overrides`` apply to all phases, and ``digests`` contains
-        the digest of each phase's config by phase name.
+        ``config`` is the pipeline's config as JSON values; ``overrides`` apply to all phases; ``digests`` maps the name
+        of each phase to a hash of the phase's config.
         """
         phases: list[dict[str, Any]] = []
         for name, digest in digests.items():
@@ -225,7 +225,7 @@ class PipelineIndex(_RunIndex):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read the index file of a pipeline from a folder, and check the type of each value in the index."""
+        """Read a pipeline's index file from a folder, and check the type of each value in the index file."""
         index = super().load(folder)
         where, phases = str(index.path), [phase if isinstance(phase, dict) else {} for phase in index.phases]
         missing = [key for key in _PIPELINE_TYPES if key not in index.data]
@@ -248,7 +248,7 @@ class PipelineIndex(_RunIndex):
         return self.data["phases"]
 
     def done(self, phase: Mapping[str, Any]) -> int:
-        """Return the number of finished training iterations of a phase, including those of an interrupted training."""
+        """Return the number of finished training iterations of a pipeline phase, even after an interruption."""
         run, last = self.run_of(phase), 0
         if run is not None:
             with suppress(RunDirectoryError):
@@ -256,13 +256,13 @@ class PipelineIndex(_RunIndex):
         return max(int(phase["trained"]), last)
 
     def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
-        """Record changed values of one phase in the pipeline's index file."""
+        """Write the changed values of one pipeline phase into the pipeline's index file."""
         number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
         self.phases[number].update(json_plain(changes))
         self.write()
 
     def restart(self, command: Sequence[str], changes: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> None:
-        """Record that this process resumes the pipeline, and record the changed settings of the pipeline."""
+        """Record that the running process resumes the pipeline, and record which pipeline settings changed."""
         before = {key: self.data[key] for key in ("status", "why", "ended", "process")}
         entry = {"when": utc_text(utc_now()), "command": list(command), "changes": list(changes), "before": before}
         self.data["resumes"].append(json_plain(entry))
@@ -277,7 +277,7 @@ class PipelineIndex(_RunIndex):
 
 
 def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
-    """Find the folder of a pipeline by its path or by its id below ``root``; return None if no such folder exists."""
+    """Find a pipeline's folder by its path, or by the pipeline's id below ``root``; None if there is no pipeline."""
     for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
         if is_pipeline(folder):
             return folder.resolve()

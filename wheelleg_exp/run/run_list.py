@@ -30,7 +30,7 @@ CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # Every line of iterations.jsonl has fewer bytes than this number.
+_TAIL_BYTES = 65536  # More bytes than any line of the file iterations.jsonl has.
 # The performance figures of a training, and the names of the logged scalars that contain these figures.
 FIGURES = {
     "return": "Train/mean_reward",
@@ -45,32 +45,32 @@ class RunSummary:
 
     id: str
     task: str
-    status: str  # The manifest's status, ``crashed`` (process died), or ``damaged`` (manifest unreadable).
+    status: str  # The manifest's status, ``crashed`` (killed run), or ``damaged`` (unreadable manifest).
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # Why the run failed or is damaged, or how many episodes had NaN or inf.
-    failure: dict[str, Any] | None = None  # The failure's message, config key, and iteration.
+    problem: str | None = None  # The run's failure or damage, or its number of NaN episodes.
+    failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
     iterations: int | None = None  # finished iterations
     max_iterations: int | None = None
-    checkpoint: int | None = None  # The iteration of the last checkpoint.
-    resumable: bool = False  # Whether ``resume`` can continue the run.
+    checkpoint: int | None = None  # The iteration of the run's last checkpoint.
+    resumable: bool = False  # True if ``wheelleg resume`` can continue the run.
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)  # The final mean return, length, and time-out share.
-    played: dict[str, Any] = field(default_factory=dict)  # The results of the last play.
-    evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the last evaluation.
-    bundles: tuple[str, ...] = ()  # The folders of the exported deployment bundles.
+    figures: dict[str, float] = field(default_factory=dict)  # The final return, episode length, and time-out share.
+    played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last play.
+    evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
+    bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
     seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume.
-    bytes: int | None = None  # The total size of the files directly in the run directory.
+    bytes: int | None = None  # The total size of the files directly in a run directory.
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
     """Return a summary of every run below ``root``, the newest first; return no runs if ``root`` does not exist."""
     folders = run_folders(Path(root))
-    # A run that was killed at its start has a folder with the name of a run directory, but no manifest.
+    # A run that was killed at its start has a run directory without a manifest.
     for folder in (folder for task in task_folders(Path(root)) for folder in task.iterdir()):
         if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
             folders.append(folder)
@@ -128,13 +128,13 @@ def summarize(folder: Path) -> RunSummary:
 
 
 def non_finite_note(results: Mapping[str, Any]) -> str | None:
-    """Return a line with the number of episodes that ended because of NaN or inf; None if no episode ended so."""
+    """Return a line with the number of episodes that NaN or inf ended; None if NaN and inf ended no episode."""
     listed = ", ".join(f"{key} {count}" for key, count in (results.get("non_finite") or {}).items())
     return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
 def effective_status(manifest: Manifest) -> str:
-    """Return the status in the manifest, or ``crashed`` if this status is ``running`` but the process has ended."""
+    """Return a run's status from the manifest, or ``crashed`` for a ``running`` run whose process has ended."""
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
         return CRASHED
     return manifest.status
@@ -142,7 +142,7 @@ def effective_status(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """The facts that ``wheelleg list sweeps`` shows about a sweep; the attribute ``jobs`` counts the jobs by status."""
+    """The facts that ``wheelleg list sweeps`` shows about a sweep; ``jobs`` contains the number of jobs by status."""
 
     id: str
     status: str
@@ -174,20 +174,20 @@ def _sweep(folder: Path) -> SweepSummary:
 
 
 def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | None, total: int | None) -> bool:
-    """Return whether ``wheelleg resume`` can continue a run; do not open the files of the run."""
+    """Return whether ``wheelleg resume`` can continue a run, without opening the files of the run."""
     if status == "running" or total is None:
         return False
-    if checkpoint is None:  # A resume from the start needs the files from which the run can be built.
+    if checkpoint is None:  # Without a checkpoint, a resume needs the files from which the run can be built.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # A resume from this checkpoint would leave a gap in the iteration log.
+    if (done or 0) < computed:  # A resume from the last checkpoint would leave a gap in the iteration log.
         return False
-    # At this point, only the exported policy of the run can be missing.
+    # If all iterations are done, a resume can only add a missing exported policy.
     return computed < total or (computed == total and status != "finished")
 
 
 def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
-    """Return the iteration of the last checkpoint, and the size of the files directly in the run directory in bytes."""
+    """Return the iteration of a run's last checkpoint, and the total bytes of files directly in the run directory."""
     newest, size = None, 0
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -200,7 +200,7 @@ def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
 
 
 def _last_line(path: Path) -> dict[str, Any] | None:
-    """Return the last complete line of ``iterations.jsonl``; read only the end of the file."""
+    """Return the last complete line of ``iterations.jsonl`` without reading the whole file."""
     try:
         with open_file(path) as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
@@ -238,7 +238,7 @@ def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
 _CONDITION = re.compile(r"(?P<key>[^=!<>]+)(?P<sign>!=|<=|>=|=|<|>)(?P<value>.*)")
 _ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
 
-# The options --filter and --sort accept these columns, and also the keys of a run's config.
+# The options --filter and --sort accept these columns and the keys of a run's config.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
     **{name: operator.attrgetter(name) for name in ("id", "task", "status", "name")},
     "seed": lambda run: run.seeds[0] if run.seeds else None,
@@ -263,7 +263,7 @@ class SweptRun:
 
 
 def swept_runs(root: Path) -> dict[Path, SweptRun]:
-    """Return the runs of all sweeps below ``root`` by run directory; ignore a sweep with a damaged index file."""
+    """Return the summaries of all sweep runs below ``root`` by run directory; ignore sweeps with a damaged index."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
         try:
@@ -274,7 +274,7 @@ def swept_runs(root: Path) -> dict[Path, SweptRun]:
 
 
 def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
-    """Return the runs of one sweep by run directory."""
+    """Return the summaries of one sweep's runs by run directory."""
     found = {}
     for job in index.jobs:
         folder = index.run_of(job)
@@ -296,8 +296,8 @@ def find_sweep(name: str, root: Path) -> SweepIndex | None:
 def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSummary]:
     """Return the runs that meet every condition of ``--filter``.
 
-    A condition on runs is ``KEY=VALUE`` with ``*`` as a wildcard; the operators ``!=``, ``<``, ``<=``, ``>``, and
-    ``>=`` are also allowed. ``KEY`` is a column of the list of runs, or a key of the run's config.
+    A condition is ``KEY=VALUE``, or has ``!=``, ``<``, ``<=``, ``>``, or ``>=`` instead of ``=``; ``*`` in VALUE
+    matches any text. In a condition, ``KEY`` is a column of the list of runs or a key of the run's config.
     """
     kept = list(runs)
     for text in conditions:
@@ -320,7 +320,7 @@ def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) ->
     """Return runs by a column or config key, largest or latest first (``reverse``: last); runs without the key last."""
     values = _values(runs, key, "--sort")
 
-    def rank(run: RunSummary) -> tuple[bool, Any]:  # Numbers come before text.
+    def rank(run: RunSummary) -> tuple[bool, Any]:  # Sort numbers before texts.
         value = values[run.path]
         return (False, float(value)) if isinstance(value, (int, float)) else (True, str(value))
 
@@ -329,7 +329,7 @@ def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) ->
 
 
 def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]:
-    """Return the value of a column or config key for each run; the value is None for a run without the key."""
+    """Return the value of a column or config key for each run; None for a run that lacks the column or key."""
     column = _COLUMNS.get(key.replace("_", "-"))
     if column is not None:
         return {run.path: column(run) for run in runs}
@@ -347,7 +347,7 @@ def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]
 
 
 def _starts_with_digit(text: str) -> bool:
-    """Return whether a text starts with a digit; a filter can compare such texts, for example dates, with a number."""
+    """Return whether a text starts with a digit; ``--filter`` can compare a text such as a date with a number."""
     return text[:1].isdigit()
 
 

@@ -1,4 +1,4 @@
-"""Lock a run directory so that only one process writes to it, and detect whether a recorded process still runs."""
+"""Lock a run directory so that only one process writes to it, and detect whether a run's process has ended."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _PROC = Path("/proc")
 def this_process() -> dict[str, Any]:
     """Return the identity of this process: pid, host, boot id, and its start in clock ticks."""
     # A new process can have the pid of an ended process, but not the ended process's boot id and start time.
-    # The boot id and start time are None on systems that do not report these values.
+    # On operating systems that do not report a boot id and a process's start time, both values are None.
     pid = os.getpid()
     return {"pid": pid, "host": platform.node(), "boot_id": _boot_id(), "start_ticks": _start_ticks(pid)}
 
 
 def is_alive(recorded: Mapping[str, Any]) -> bool | None:
-    """Return whether the process that ``this_process`` recorded still runs; None if it was recorded on another host."""
+    """Return whether a process recorded by ``this_process`` has not ended; None if the process is on another host."""
     pid = recorded.get("pid")
     if not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
         return None
@@ -58,7 +58,7 @@ def _start_ticks(pid: int) -> int | None:
         text = (_PROC / str(pid) / "stat").read_text(errors="replace")
     except OSError:
         return None
-    # A program name can contain spaces and parentheses, so count the fields after the last parenthesis (see proc(5)).
+    # In /proc/<pid>/stat, the program name can contain spaces and ')', so count the fields after the last ')'.
     fields = text.rpartition(")")[2].split()
     return None if fields[0] in "ZX" else int(fields[19])
 
@@ -70,8 +70,8 @@ class RunLock:
     """Lock a run directory for writing, as a context manager.
 
     The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock. ``name`` is the
-    name of the lock file in the run directory. ``timeout_s`` is the time in s to wait while another process has the
-    lock.
+    name of the lock file in the run directory. ``timeout_s`` is the longest time, s, to wait for the lock while a
+    different process has it.
     """
 
     def __init__(self, directory: os.PathLike[str], *, name: str = RUN_LOCK, timeout_s: float = 0.0) -> None:
@@ -80,7 +80,7 @@ class RunLock:
         self._descriptor: int | None = None
 
     def acquire(self) -> None:
-        """Acquire the lock; if another process has the lock, raise RunDirectoryError with the other process's pid."""
+        """Acquire the lock; if a different process has the lock, raise RunDirectoryError with that process's pid."""
         deadline = time.monotonic() + self.timeout_s
         while not self._try():
             if time.monotonic() >= deadline:
@@ -97,14 +97,14 @@ class RunLock:
         """Release the lock; do nothing if this object has not acquired the lock."""
         if self._descriptor is None:
             return
-        # Do not delete the lock file, because two processes could then lock two different files with one name.
+        # Do not delete the lock file; otherwise two processes could lock two different files of the same name.
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
         self._descriptor = None
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Acquire the lock unless this object already has it; release the lock at the end of the ``with`` block."""
+        """Acquire the lock unless this object already has the lock; release it at the end of the ``with`` block."""
         if self._descriptor is None:
             self.acquire()
         try:

@@ -1,4 +1,4 @@
-"""Describe recorded source code for the console, and list the files that differ between two source trees."""
+"""Describe a run's recorded source code as text, and list the files that differ between two source trees."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nu
 _SHOWN_REASONS, _SHOWN_PATHS = 5, 3
 _ABSENT = "000000"
 
-State = str | None  # The state of a path is its git mode and blob id, or None if the tree has no such path.
+State = str | None  # The state of a path is the path's git mode and blob id, or None if the git tree lacks the path.
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class FileChanges:
 
 
 def source_lines(content: Mapping[str, Any]) -> list[str]:
-    """Return one line of text for each source in ``content``, and a warning for each incompletely stored source."""
+    """Return one line for each source repository in ``content``, and a warning for each incomplete repository."""
     lines = []
     for record in (content, *content["others"]):
         lines.append(_source_line(record))
@@ -73,17 +73,17 @@ def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositorie
 
 
 def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return the state of each path that differs between a record's tree and base commit; None for a removed path."""
+    """Return the git state of each path that differs between a source tree and its base commit; None if deleted."""
     return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
 
 
 def state(mode: str, blob: str) -> State:
-    """Return the state of a path as text, from the mode and blob id in a git tree."""
+    """Return the git mode and blob id of a path in a git tree as text."""
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 
 def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
-    """Return the state of each changed path in the base commit and in the tree; None if the record has no list."""
+    """Return each changed path's state in the base commit and in the source tree; None if no changes are recorded."""
     found = record.get("contents")
     valid = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
     return found if valid else None
@@ -95,7 +95,7 @@ def _compare(
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
-        # If both base commits are equal at this path, the path has the same state in both.
+        # A path that is equal in both base commits has the same state in both commits.
         return between[path][side] if path in between else other[path][0]
 
     found = FileChanges()

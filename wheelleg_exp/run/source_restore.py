@@ -1,4 +1,4 @@
-"""Restore the recorded source code of a run into a new folder."""
+"""Restore the source code that was recorded with a run into a new folder."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _RECORD = {
 }
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
-# With these git settings, git does not convert line ends and does not download Git LFS files.
+# Git settings with which git neither converts line ends nor downloads Git LFS files.
 _SETTINGS = {"core.autocrlf": "false", "core.eol": "lf", "core.hooksPath": os.devnull, "filter.lfs.required": "false"}
 _SETTINGS |= dict.fromkeys(("filter.lfs.smudge", "filter.lfs.clean", "filter.lfs.process"), "")
 
@@ -64,8 +64,8 @@ def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first of the folders whose repository contains the recorded commit; None if no commit is recorded."""
-    # If no folder contains the commit, the error names the git command that fetches the commit.
+    """Return the first given folder whose git repository contains the recorded commit; None without a commit."""
+    # If no folder contains the recorded commit, the error names the git command that fetches the commit.
     commit = record["commit"]
     if commit is None:
         return None
@@ -89,13 +89,13 @@ def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | No
 def restore_source(
     directory: os.PathLike[str], destination: Path, repository: Path | None = None, *, which: int = 0
 ) -> str:
-    """Restore the recorded source tree of a run into the new folder ``destination``, and return the git tree id.
+    """Restore the source tree recorded with a run into the new folder ``destination``, and return its git tree id.
 
-    ``repository`` is a clone that contains the recorded commit, by default the recorded folder. The clone is only read.
-    ``which`` is 0 for the main repository of the run, and 1 for the first additional repository. ``destination``
-    becomes a separate git repository that reads the git objects of ``repository``. If the restored tree differs from
-    the recorded tree, ``destination`` is deleted and an error is raised. Nothing is written outside of ``destination``,
-    even if the patch contains paths outside. A full disk raises SimulationFailure.
+    ``repository`` is a git clone that contains the recorded commit; by default, it is the recorded folder. The clone is
+    only read. ``which`` is 0 for the main repository of the run, and 1 for the first additional repository.
+    ``destination`` becomes a separate git repository that reads the git objects of ``repository``. If the restored tree
+    differs from the recorded tree, ``destination`` is deleted and an error is raised. No file outside ``destination``
+    is written, even if the recorded patch contains paths outside ``destination``. A full disk raises SimulationFailure.
     """
     record = source_records(directory)[which]
     if record["patch"] is None:
@@ -133,7 +133,7 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
             clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
             clone.run("read-tree", record["commit"])
         if change:
-            # With --cached, git applies the patch to the index, so no line ends change and no file outside is written.
+            # With --cached, git applies the patch only to git's index and writes no files, so no line ends change.
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
         if tree != record["tree"]:
@@ -142,7 +142,7 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
         where = f" from '{origin}'" if origin else ""
-        # Git does not report why writing a file failed, so also check the free space on the disk.
+        # Git does not report why it failed to write a file, so check whether the disk is full.
         if _FULL_DISK.search(str(error)) or shutil.disk_usage(folder).free < _ROOM_BYTES:
             message = f"the source cannot be restored: {error}"
             raise SimulationFailure(message, expected="room on a working disk") from error

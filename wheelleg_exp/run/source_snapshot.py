@@ -1,10 +1,10 @@
 """Store the state of the source tree with the run: a commit, a tree id, and a patch that restores the tree.
 
 ``git.json`` describes the repository of each source folder; the main repository is the first. The patch
-``source.patch`` (``source_2.patch`` for a second repository) turns the recorded commit into the recorded tree,
-including untracked and binary files. Files that git ignores and the folder of runs are not stored. Submodules, nested
-repositories, folders without git, and files that pass through a filter program such as Git LFS are not captured. The
-record names the files that are not captured, and has ``exact: false``.
+``source.patch`` (``source_2.patch`` for a second repository) changes the recorded commit to the recorded source tree,
+including untracked and binary files. Neither the folder of runs nor any file that git ignores is stored. The snapshot
+does not contain submodules, nested repositories, folders without git, and files that git passes through a filter
+program such as Git LFS. ``git.json`` lists the files that the snapshot lacks, and then contains ``exact: false``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from wheelleg_exp.run.source_changes import state
 SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
-# A record with the status "ok" or "no_commits" has a patch that restores the source tree.
-# A record with any other status has a note that says why the source tree was not stored.
+# A source record with the status "ok" or "no_commits" has a patch that restores the source tree.
+# A source record without a patch has a note that says why the source tree was not stored.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
@@ -38,7 +38,7 @@ _GITLINK, _NO_MODE = "160000", "000000"
 
 @dataclass(frozen=True)
 class NotCaptured:
-    """A file whose content the snapshot does not contain, and the reason."""
+    """A file whose content the source snapshot lacks, and the reason for the lack."""
 
     path: str
     reason: str
@@ -74,11 +74,11 @@ def snapshot_source(
 ) -> dict[str, Any]:
     """Write ``git.json`` and the patches into the run's ``source`` folder, and return the content of ``git.json``.
 
-    The argument ``roots`` contains source folders and single files, and the package's own folder is the first.
-    ``git.json`` has one record for all source folders in one repository. Untracked files in ``runs_root``, the folder
-    of all runs, are not stored. ``max_patch_mb`` is the largest allowed size of each patch, and of all untracked files
-    together, in megabytes (10^6 bytes). If a git command fails, the run continues, and the record has a status and a
-    note about the failure.
+    ``roots`` contains source folders and single source files; the first is the folder of ``wheelleg_exp``. ``git.json``
+    has one record for each git repository that contains source folders. Untracked files in ``runs_root``, the folder of
+    all runs, are not stored. ``max_patch_mb`` is the largest allowed size of each patch, and of all untracked files
+    together, in megabytes (10^6 bytes). If a git command fails, the run continues, and ``git.json`` contains a status
+    and a note about the failure.
     """
     records: list[dict[str, Any]] = []
     for place in _group(roots):
@@ -98,7 +98,7 @@ def snapshot_source(
 
 
 def new_record(status: Status, root: Path | None, note: str | None) -> dict[str, Any]:
-    """Return a source record that has every key; the value of each unknown key is None."""
+    """Return a source record that has every key; keys that are not given have the value None."""
     return {
         "status": status,
         "exact": False,
@@ -117,7 +117,7 @@ def new_record(status: Status, root: Path | None, note: str | None) -> dict[str,
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
-    """Return whether ``root`` is in a ``site-packages`` folder; if given, only folders below ``above`` count."""
+    """Return whether ``root`` is in a ``site-packages`` folder; if ``above`` is given, only folders below it count."""
     parts = root.parts if above is None else root.relative_to(above).parts
     return any(part in _INSTALL_FOLDERS for part in parts)
 
@@ -132,7 +132,7 @@ def content_digest(root: Path) -> str:
 
 
 def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
-    """Group the roots by git repository; a root that cannot be captured becomes a record with the reason."""
+    """Group source folders and files by git repository; return a record with a reason for each one outside git."""
     groups: dict[Path, _WorkingTree | dict[str, Any]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
@@ -146,7 +146,7 @@ def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
 
 
 def _place(root: Path) -> _WorkingTree | dict[str, Any]:
-    """Return the git repository of ``root``, or a record that says why the files of ``root`` cannot be captured."""
+    """Return the git repository of ``root``, or a record that says why the files of ``root`` cannot be stored."""
     folder = root if root.is_dir() else root.parent
     try:
         found = git.run_git(folder, "rev-parse", "--show-toplevel")
@@ -185,7 +185,7 @@ def _installed(root: Path) -> dict[str, Any]:
 
 
 def _distribution_of(root: Path) -> str | None:
-    """Return ``name==version`` of the Python distribution that contains a folder or file; None if it is unknown."""
+    """Return ``name==version`` of the installed package that contains a folder or file; None if no package is known."""
     place = next((place for place in root.parents if place.name in _INSTALL_FOLDERS), None)
     if place is None:
         return None
@@ -197,7 +197,7 @@ def _distribution_of(root: Path) -> str | None:
 
 
 def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dict[str, Any], bytes | None]:
-    """Return the source record and the patch of one repository; the patch is None if the tree cannot be captured."""
+    """Return the source record and the patch of one repository; the patch is None if the tree cannot be stored."""
     repository = tree.repository
     record = new_record("ok", repository.top, None)
     record["folders"] = tree.folders
@@ -207,7 +207,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
         record["commit"] = commit
         record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
         record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
-        # Store the URL of the current branch's remote, otherwise of ``origin``, otherwise of the first remote.
+        # Store the URL of the current branch's git remote, otherwise of ``origin``, otherwise of the first git remote.
         names = repository.text("remote").splitlines()
         tracked = repository.maybe("config", f"branch.{record['branch']}.remote") if record["branch"] else None
         chosen = next((name for name in (tracked, "origin", *names) if name in names), None)
@@ -222,7 +222,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
 
 
 def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
-    """Add the id of the git tree to the source record, and return the patch; return None if the patch is too large."""
+    """Add the git tree id to a source record, and return the patch of the tree; None if the patch is too large."""
     untracked, refused = _untracked_files(repository, runs_root)
     record["refused"] = [asdict(entry) for entry in refused]
     sizes = _sizes(repository, untracked)
@@ -237,7 +237,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # In the index, reset files with a filter program to their base version. Mode 0 removes a path from the index.
+        # In git's index, reset files with a filter program to the base commit; mode 0 removes a path from git's index.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
@@ -252,7 +252,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         record["dirty"] = bool(changes) or len(refused) > len(filtered)
         record["submodules"] = _submodules(scratch)
         record["tree"] = scratch.text("write-tree")
-        # Make the patch from ``base`` to the index's tree. These options override the user's diff settings.
+        # Make a patch from the commit ``base`` to git's index; the options override the user's diff settings.
         options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
         options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
         options += ["--ignore-submodules=none", "--no-relative", "-U3"]
@@ -271,8 +271,8 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
 
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
-    """Return the untracked files to store, and untracked files that cannot be stored; skip ignored files and runs."""
-    # Skip a file to which this process prints, because the file grows during the run.
+    """Return the untracked files that can and that cannot be stored; skip run directories and ignored files."""
+    # Skip a file to which the process prints its output, because the file grows during the run.
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
     paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
@@ -324,7 +324,7 @@ def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
 
 def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCaptured]:
     """Add all files of the working tree to a temporary git index; return the changed files that git cannot read."""
-    # Make git compare the files that the user marked with assume-unchanged or skip-worktree.
+    # Make git compare even the files that the user marked with assume-unchanged or skip-worktree.
     tagged = [(entry[0], entry[2:]) for entry in scratch.paths("ls-files", "-v", "-z")]
     here = [(tag, path) for tag, path in tagged if os.path.lexists(scratch.top / path)]
     assumed = [path for tag, path in here if tag.islower()]
@@ -345,7 +345,7 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
             if not left:
                 raise
             refused = [NotCaptured(path, f"git cannot read it: {error}") for path in left]
-    # With --remove, git accepts files that were deleted after git listed them.
+    # The option --remove makes git accept files that were deleted after git had listed them.
     scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=git.join_nul(untracked))
     return refused
 

@@ -30,11 +30,11 @@ def start_run(
 ) -> Manifest:
     """Write the manifest of a new run with the status ``running``, and then the snapshot of the run's inputs.
 
-    The manifest is written before the source code is read, so that ``wheelleg list`` also shows a run that is killed at
+    The manifest is written before the source code is read, so that ``wheelleg list`` shows even a run that is killed at
     its start. ``hydra_files`` contains the text of each Hydra file by its file name, such as ``config.yaml``.
-    ``source_roots`` contains source folders, and the package's own folder is the first. ``threads`` contains the
-    numbers of threads, and torch's description of the CPU. The caller must record the end of the run in the returned
-    manifest.
+    ``source_roots`` contains source folders; the first is the folder of ``wheelleg_exp``. ``threads`` contains the
+    thread counts of torch and the simulation, and torch's description of the CPU. The caller must record the run's end
+    in the returned manifest.
     """
     require_resolved(params)
     manifest = Manifest.begin(directory.path, task=task, seed=seed, command=command, threads=threads)
@@ -42,7 +42,7 @@ def start_run(
         write_params(directory.path, params)
         for name, text in hydra_files.items():
             write_text(directory.hydra / name, text)
-        # Store the environment variables that the config requests, so that the config can be resolved later.
+        # Store the environment variables that the config requests, so that later commands can resolve the config.
         requested = requested_variables(hydra_files.values())
         found = variables(also=requested)
         manifest.record(config_variables={name: found[name] for name in requested if name in found})
@@ -58,7 +58,7 @@ def complete_snapshot(
     max_patch_mb: float | None = None,
 ) -> None:
     """Write the second part of the snapshot, after parameters and configs: source and distributions."""
-    # A run whose manifest lacks this part was killed before its first step. A resume completes the missing part.
+    # The manifest of a run that was killed before its first step lacks facts about the source; a resume adds them.
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))

@@ -16,22 +16,22 @@ def utc_now() -> datetime:
 
 
 def utc_text(moment: datetime) -> str:
-    """Return ``moment`` as ISO 8601 text in UTC, with microseconds and a ``Z``."""
+    """Return the time ``moment`` as ISO 8601 text in UTC, with microseconds and a ``Z``."""
     return moment.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def parse_utc(text: str) -> datetime:
-    """Return the time from a text that ``utc_text`` returned; raise ValueError for any other text."""
+    """Convert a text from ``utc_text`` back to a time; raise ValueError for a text in any other format."""
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError(f"the time '{text}' has no time zone")
-    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # Python cannot convert time zones outside these years.
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # Python can convert time zones only in a range of years.
         raise ValueError(f"the time '{text}' is outside the years {_FIRST_YEAR} to {_LAST_YEAR}")
     return moment
 
 
 def folder_text(moment: datetime) -> str:
-    """Return a local time as a folder name, such as ``2026-01-31_17-05-09``; a datetime without time zone is local."""
+    """Return a time as a folder name in local time, such as ``2026-01-31_17-05-09``; no time zone means local time."""
     local = moment if moment.tzinfo is None else moment.astimezone()
     return local.strftime(_FOLDER)
 

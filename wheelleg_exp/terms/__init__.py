@@ -1,4 +1,4 @@
-"""Check the terms of a config against the code that they name, without torch and MuJoCo.
+"""Check the terms of a config against the functions and classes that the terms name, without torch and MuJoCo.
 
 | module | contents |
 |---|---|

@@ -1,4 +1,4 @@
-"""Check and read sections of the config against the dataclasses that define their keys."""
+"""Check and read sections of the config; a dataclass defines the keys of each section."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ _Options = TypeVar("_Options", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Key:
-    """A key that a section of the config accepts."""
+    """A key that a config section accepts."""
 
     name: str
     annotation: Any
@@ -83,7 +83,7 @@ class Key:
 
 
 def keys_of(options: type) -> dict[str, Key]:
-    """Return the keys that a section accepts, which are the fields of the section's dataclass."""
+    """Return the keys that a config section accepts, which are the fields of the section's dataclass."""
     hints = typing.get_type_hints(options, include_extras=True)
     missing = dataclasses.MISSING
     return {
@@ -94,7 +94,7 @@ def keys_of(options: type) -> dict[str, Key]:
 
 
 def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Check a section against a dataclass's fields and, if each value is valid, against the dataclass's rules."""
+    """Check a config section against a dataclass's fields and, if all values are valid, against its rules."""
     keys = keys_of(options)
     errors = []
     for name, value in node.items():
@@ -129,7 +129,7 @@ def _dataclass_of_values(annotation: Any) -> Any | None:
 
 
 def dataclass_in(annotation: Any) -> type | None:
-    """Return the dataclass that an annotation names; None for any other annotation."""
+    """Return the dataclass that a type annotation names; None if the annotation names no dataclass."""
     kinds = (option for option in options_in(annotation) if isinstance(option, type))
     return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
 
@@ -156,7 +156,7 @@ def _read_value(value: Any, path: str, annotation: Any) -> Any:
 
 
 def read_value(options: type, node: Any, path: str, name: str) -> Any:
-    """Return the value at one key of a section of the config. All other keys of the section can be missing."""
+    """Return the value at one key of a config section; all other keys of the section can be missing or wrong."""
     for error in section_errors(path, node, options):
         if error.key == below(path, name):
             raise error

@@ -26,23 +26,23 @@ class Misfit:
 
     message: str
     expected: str
-    # the path from the config value to the mistake; a mistake in an element of a list gets the path of the list
+    # the path from the config value to the wrong part; a wrong element of a list gets the path of the list
     keys: tuple[str, ...] = ()
-    nearest: str | None = None  # the nearest valid word
-    is_type: bool = False  # whether the value has the wrong type; False if the value is out of range
+    nearest: str | None = None  # the valid word that is most similar to the wrong value
+    is_type: bool = False  # True for a value of a wrong type; False for a value out of range
 
 
 def fits(value: Any, annotation: Any) -> bool:
-    """Return whether a value from YAML has the type of an annotation.
+    """Return whether a value from YAML has the type that an annotation names.
 
-    An int is valid for float, a bool is invalid for int, and a list is valid for tuple. Any value is valid for an
-    annotation such as a class or a callable, because a nested ``_target_`` node builds the object.
+    For a float annotation, an int is valid; for int, a bool is invalid; for tuple, a list is valid. For a class or
+    callable annotation, any value is valid, because a nested ``_target_`` node builds the object.
     """
     return not misfits(value, annotation)
 
 
 def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
-    """Return the mistakes in the value at a config key; each mistake has the full key of the wrong value."""
+    """Return the mistakes in the value at a config key; each mistake has the full config key of the wrong value."""
     errors = []
     for found in misfits(value, annotation):
         place = key
@@ -53,13 +53,13 @@ def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
 
 
 def require_fit(key: str, value: Any, annotation: Any) -> None:
-    """Raise the first mistake in a config value as a ConfigError."""
+    """Raise a ConfigError for the first mistake in a config value."""
     for error in value_errors(key, value, annotation):
         raise error
 
 
 def misfits(value: Any, annotation: Any) -> list[Misfit]:
-    """Return every mistake in a config value; the annotation defines the valid values."""
+    """Return every mistake in a config value; a type annotation defines the valid values."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []
@@ -97,7 +97,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         if not isinstance(value, (list, tuple)):
             return [_wrong_type(value, annotation)]
         return _of_elements(value, annotation, kind, arguments)
-    # A parameter that is an object needs a ``_target_`` node. The module config_sections checks config sections.
+    # A parameter that is an object needs a ``_target_`` node; the module config_sections checks config sections.
     built = isinstance(value, Mapping) and "_target_" in value
     if built or not (isinstance(kind, type) and dataclasses.is_dataclass(kind)) or isinstance(value, kind):
         return []
@@ -107,19 +107,19 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
 
 
 def constraints_of(annotation: Any) -> list[Constraint]:
-    """Return the constraints of an annotation, without the constraints of the annotation's elements or options."""
+    """Return the constraints of a type annotation, without the constraints of its element types or union options."""
     parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
     return [part for part in parts if isinstance(part, Constraint)]
 
 
 def constraints_in(annotation: Any) -> list[Constraint]:
-    """Return the constraints of an annotation, and of the annotation's elements and options."""
+    """Return the constraints of a type annotation, and of its element types and union options."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
 
 
 def bare(annotation: Any) -> Any:
-    """Return an annotation without the constraints that are attached to the annotation itself."""
+    """Return a type annotation without the outermost constraints; constraints of element types remain."""
     return typing.get_args(annotation)[0] if typing.get_origin(annotation) is typing.Annotated else annotation
 
 
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # describe the expected value with the annotation's constraints
+    if found:  # describe the expected value by the constraints of the type annotation
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -174,12 +174,12 @@ def _out_of_range(value: Any, expected: str) -> Misfit:
 
 
 def describe(annotation: Any) -> str:
-    """Return an annotation and its constraints as text."""
+    """Return a type annotation and the annotation's constraints as text."""
     return ", ".join((type_words(annotation), *limit_words(annotation)))
 
 
 def limit_words(annotation: Any) -> tuple[str, ...]:
-    """Return only the constraints of an annotation as text."""
+    """Return the constraints of a type annotation as text, without the type."""
     constraints = constraints_of(annotation)
     words = tuple(c.words() for c in constraints if c.words())
     if not any(c.form for c in constraints):
@@ -193,7 +193,7 @@ _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 def type_words(annotation: Any) -> str:
-    """Return only the type of an annotation as text."""
+    """Return the type of an annotation as text, without the constraints."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is None or annotation is type(None):
         return "null"
@@ -218,7 +218,7 @@ def type_words(annotation: Any) -> str:
 
 
 def options_in(annotation: Any) -> Iterator[Any]:
-    """Yield the options of a union, or the annotation itself, without constraints."""
+    """Yield the option types of a union annotation, or any other annotation itself, without constraints."""
     annotation = bare(annotation)
     if typing.get_origin(annotation) not in (typing.Union, types.UnionType):
         yield annotation

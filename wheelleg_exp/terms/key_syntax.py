@@ -1,4 +1,4 @@
-"""Read and write config keys and overrides as text.
+"""Convert config keys and config overrides from and to text.
 
 Examples of config keys are ``env.rewards.alive`` and ``env.robot.init_state.joint_pos[.*_hip]``.
 """
@@ -15,17 +15,17 @@ _PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
 
 
 def is_override(word: str) -> bool:
-    """Return whether a command-line argument is an override. All other arguments are names."""
+    """Return whether a command-line argument is a config override. All other arguments are names."""
     return "=" in word or word.startswith(("~", "+"))
 
 
 def dotted(keys: Iterable[str]) -> str:
-    """Return the path as text. In the path, a key that contains dots or brackets is written in brackets."""
+    """Return the path as text. In the returned path, brackets enclose a key that contains dots or brackets."""
     return functools.reduce(below, keys, "")
 
 
 def below(path: str, key: str) -> str:
-    """Return the path of the key ``key`` in the section at ``path``."""
+    """Return the config path of the key ``key`` in the config section at ``path``."""
     if re.search(r"[.\[\]]", key):
         return f"{path}[{key}]"
     return f"{path}.{key}" if path else key
@@ -40,8 +40,8 @@ PIPELINE = "pipeline"  # the name of a pipeline's primary config, and the name o
 
 
 def names_pipeline(word: str) -> bool:
-    """Return whether an override or a key belongs to the pipeline.
+    """Return whether a config override or config key belongs to the config section ``pipeline``.
 
-    Overrides that do not belong to the pipeline change what the phases train.
+    Overrides outside the section ``pipeline`` change the configs that the phases train.
     """
     return word.lstrip("+~").partition("=")[0].split(".")[0] == PIPELINE

@@ -1,7 +1,7 @@
 """Resolve the target of a term node, and bind the node's keys to the target's parameters.
 
-A term node is a flat mapping of ``_target_``, the manager's own fields, and the term's parameters. A target must be in
-an allowed package, because a config must not call any other code.
+A term node is a flat mapping with ``_target_``, the fields that the manager reads, and the term's parameters. A config
+can only name targets in allowed packages, so that a config cannot call arbitrary code.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# The subpackages of this package that a config can call: terms, noise, entities, actuators, and sensors.
+# The subpackages of wheelleg_exp that a config can call: terms, noise, entities, actuators, and sensors.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
 class NotAllowed(ConfigError):
-    """A target or a class of the config is outside the allowed packages."""
+    """A config names a target or class that is outside the allowed packages."""
 
 
 def allowed_packages() -> tuple[str, ...]:
@@ -39,12 +39,12 @@ def allowed_packages() -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
 
-# Cache the installed packages, because reading every installed distribution takes a millisecond.
+# Cache the packages that configs may call, because reading the metadata of all installed packages is slow.
 _declared_packages = functools.cache(installed_packages)
 
 
 def require_allowed(target: str, path: str) -> None:
-    """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call any other code."""
+    """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call arbitrary code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
         # The target with its top package replaced by the most similar allowed package; None without a similar package.
@@ -57,11 +57,11 @@ def require_allowed(target: str, path: str) -> None:
 
 
 def is_inside(name: str, packages: tuple[str, ...]) -> bool:
-    """Return whether a dotted name is in one of the given packages."""
+    """Return whether a dotted name is inside one of the given Python packages."""
     return any(name.startswith(f"{package}.") for package in packages)
 
 
-_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # the special keys of Hydra's function instantiate
+_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # special keys of Hydra's function ``instantiate``
 
 # The fields that managers read, by section. A target must not have a parameter with the name of such a field.
 RESERVED: dict[str, tuple[str, ...]] = {
@@ -75,10 +75,10 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# A config can omit the section of recorders. All other missing sections are treated as empty sections.
+# A config can omit the section ``recorders``; every other missing section is treated as an empty section.
 OPTIONAL = "recorders"
 
-# The types of the fields that managers read, and the fields that every term of a section must have.
+# For each section, the types of the fields that managers read, and the fields that every term must have.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
@@ -95,22 +95,22 @@ FIELD_TYPES: dict[str, Any] = {
     "delay": Annotated[Sequence[Natural], Ordered()] | None,
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
-# Events can have user-defined modes. A mode that is nearly equal to a known mode is treated as a misspelling.
+# A user-defined event mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
 # The fields of event terms that have an effect only in one mode, and the name of this mode.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
-# The arguments that a manager passes to every target. A config must not contain these arguments.
+# The arguments that a manager passes to every target, and that a config must not contain.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
 _CFG_ENV = ["cfg", "env"]  # the parameters of the constructors of classes that were written for Isaac Lab
 
-# Old paths of targets, as in configs and runs of earlier versions, and the current paths.
+# Old paths of targets in configs and runs of earlier versions, and the current paths of the same targets.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
 
 
 class NotSelected(ConfigError):
-    """The config has settings of a term that is not selected."""
+    """A config contains settings of a term that the config does not select."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Remove null terms from a config, add missing sections as empty ones, and return the keys of the null terms."""
+    """Remove null terms from a config, add missing sections as empty sections, and return the null terms' keys."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -191,7 +191,7 @@ def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """Return the keyword arguments of a ``_target_`` node."""
+    """Return the keyword arguments with which a ``_target_`` node calls its target."""
     for key in node:
         if key in _HYDRA_ONLY:
             expected = f"{TARGET} and its parameters alone"
@@ -200,7 +200,7 @@ def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
 
 
 def resolve_target(target: str, path: str) -> Callable[..., Any]:
-    """Import and return an allowed target."""
+    """Import and return the function or class that a target in an allowed package names."""
     target = _MOVED.get(target, target)
     require_allowed(target, path)
     module_name, _, attribute = target.rpartition(".")
@@ -212,7 +212,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception as error:  # importing a user's module can raise any error
+    except Exception as error:  # the import of a user's module can raise any exception
         reason = str(error) if isinstance(error, ImportError) else in_words(error)
         absent = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
         expected = "package.module.name" if absent else "a module that can be imported"
@@ -226,15 +226,15 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
         raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
-    # Check the module that defines the function, because an allowed module can import any function.
+    # Check the module that defines a target, because a module in an allowed package can import foreign functions.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
 
 def resolve_class(name: Any) -> Any:
-    """Return the class or function that a ``class_name`` of an agent names, or None if the name does not exist.
+    """Return the class or function that a ``class_name`` in an agent config names, or None if the name does not exist.
 
-    rsl_rl resolves the name. Raise ConfigError if the module cannot be imported.
+    Raise ConfigError if rsl_rl cannot import the module that ``class_name`` names.
     """
     from rsl_rl.utils import resolve_callable
 
@@ -258,8 +258,8 @@ def takes_cfg(target: Callable[..., Any]) -> bool:
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class whose signature lists the parameters that a config can set.
 
-    For a class whose constructor takes ``(cfg, env)``, return ``__call__``. If the class has no ``__call__``, return
-    the class that annotates ``cfg``. For any other target, return the target itself.
+    For a class with the constructor ``(cfg, env)``, return ``__call__``; if ``__call__`` is missing, return the class
+    that annotates ``cfg``. A target without this constructor is returned itself.
     """
     if not takes_cfg(target):
         return target

@@ -1,7 +1,7 @@
 """Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-The first half of the module checks a term node and its inner nodes against the annotations of their targets. The second
-half converts an exception in the code of a term into an error with the config key and the line.
+The module checks the nodes of a term against the annotations of the targets that the nodes name. ``failure`` converts
+an exception in the code of a term into an error with the term's config key and line.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Return the mistakes in the fields that the manager reads from a term node."""
+    """Return the mistakes in those fields of a term node that the term's manager reads."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
         for name in binding.REQUIRED_FIELDS.get(section, ())
@@ -73,7 +73,7 @@ def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]
         term = binding.TermNode(path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, parameters)
     except ConfigError as error:
         return [error]
-    return parameter_errors("commands", term, target)  # command terms have no fields that the manager reads
+    return parameter_errors("commands", term, target)  # the manager of commands reads no fields of a command term
 
 
 def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
@@ -85,7 +85,7 @@ def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any
             yield ConfigError(message, key=term.path, expected=expected)
             return
     known = [*accepted, *binding.RESERVED[section]]
-    meant: set[str] = set()  # do not report a parameter as missing if its key is misspelled
+    meant: set[str] = set()  # a parameter with a misspelled key is not reported as missing
     for name, value in term.params.items():
         if name in accepted:
             continue
@@ -115,7 +115,7 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
         return errors
     given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
     if any(value is inspect.Parameter.empty for value in given.values()):
-        return []  # the function _name_errors reports the missing parameter
+        return []  # the function _name_errors reports a missing parameter
     return [
         ConfigError(broken.message, key=f"{term.path}.{broken.key}", expected=broken.expected)
         for rule in rules_of(target)
@@ -126,8 +126,8 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of a target's parameters, including constraints.
 
-    The result omits an annotation that names a class imported only under ``TYPE_CHECKING``. Terms written for Isaac Lab
-    annotate the environment with a class that is imported only under ``TYPE_CHECKING``.
+    The result omits the annotations that name a class imported only under ``TYPE_CHECKING``. Terms written for Isaac
+    Lab annotate the environment with a class that is imported only under ``TYPE_CHECKING``.
     """
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -151,9 +151,9 @@ def has_target(value: Any) -> bool:
 
 @contextmanager
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
-    """Convert an exception that a part of the scene raises in the body into an error at the config key ``path``.
+    """Convert an exception that building a part of the scene raises into an error at the config key ``path``.
 
-    If the scene has already been built with this part, ``has_worked`` is true, and the error is a failure of the run.
+    ``has_worked`` is true if the part was already built once; the error is then a failure of the run.
     """
     try:
         yield
@@ -174,9 +174,9 @@ def failure(
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged. If an earlier call of
-    the term succeeded, ``has_worked`` is true, and the error is a failure of the run. ``what`` is the name of the
-    failed code in the error message.
+    The function returns an interrupt unchanged, and also a WheellegError that is not a ConfigError. ``has_worked`` is
+    true if an earlier call of the term succeeded; the error is then a failure of the run. ``what`` names the failed
+    function or class in the error message.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)
@@ -193,7 +193,7 @@ def failure(
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
-    """Return the error with the term's path in front of its key, unless the key is already a full path."""
+    """Return an error with the term's config path before the error's key, unless this key is already a full path."""
     found = copy.copy(error)
     if found.key is None or not found.key.startswith("env."):
         found.key = f"{path}.{found.key}" if found.key else path
@@ -201,7 +201,7 @@ def placed(error: ConfigError, path: str) -> ConfigError:
 
 
 def code_place(code: Any) -> str | None:
-    """Return the file and line at which a function, or the class of an object, is defined; None if unknown."""
+    """Return the file and line that define a function or an object's class; None if the place is unknown."""
     found = _definition(code)
     try:
         file, line = inspect.getsourcefile(found), inspect.getsourcelines(found)[1]

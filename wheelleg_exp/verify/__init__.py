@@ -1,4 +1,4 @@
-"""Check a run against its own manifest, and compare two runs. Torch is imported only for comparing checkpoints.
+"""Check a run against the run's own manifest, and compare two runs.
 
 | module | offers |
 |---|---|

@@ -1,4 +1,4 @@
-"""Check whether the manifest of a run, and the files that the manifest lists, were changed."""
+"""Check whether a run's manifest, or a file that the manifest lists, was changed later."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Subject:
 
     @property
     def has_ended(self) -> bool:
-        """True if the process of the run ended without being killed."""
+        """True if the run's process ended without being killed."""
         return self.status not in _UNENDED
 
     @property
@@ -45,7 +45,7 @@ class Subject:
 
 
 State = Literal["ok", "note", "failed", "not checked"]
-_SHOWN = 10  # One check prints at most this number of lines.
+_SHOWN = 10  # The largest number of lines that one check prints.
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ class Check:
 
     name: str
     text: str
-    failures: list[str] = field(default_factory=list)  # The mistakes that the check found.
+    failures: list[str] = field(default_factory=list)  # The mistakes that the check found in the run.
     notes: list[str] = field(default_factory=list)  # harmless facts
-    skipped: str | None = None  # Why the check could not run; None if the check ran.
+    skipped: str | None = None  # The reason why the check could not run; None if the check ran.
 
     @property
     def state(self) -> State:
-        """The verdict of the check is ``failed``, ``not checked``, ``note`` or ``ok``."""
+        """The result of the check as one of the words ``failed``, ``not checked``, ``note``, and ``ok``."""
         if self.failures:
             return "failed"
         if self.skipped is not None:
@@ -68,7 +68,7 @@ class Check:
         return "note" if self.notes else "ok"
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the result of the check."""
+        """Return the lines of text that report the result of one check of a run."""
         head = f"{self.name:<12}{self.state:<12}{self.skipped or self.text}".rstrip()
         return [head, *(f"  {line}" for line in cut(self.failures)), *(f"  note: {line}" for line in cut(self.notes))]
 
@@ -83,7 +83,7 @@ class RunFindings:
 
     @property
     def is_sound(self) -> bool:
-        """True if no check of the run failed."""
+        """True if none of the run's checks failed."""
         return not any(check.failures for check in self.checks)
 
     @property
@@ -92,12 +92,12 @@ class RunFindings:
         return "sound" if self.is_sound else "damaged"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all findings about a run as a JSON document."""
+        """Return the results of all checks of a run as a JSON document."""
         checks = [{"state": check.state, **asdict(check)} for check in self.checks]
         return {"verdict": self.verdict, "run": str(self.path), "status": self.status, "checks": checks}
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report all checks; the last line is the verdict."""
+        """Return the lines of text that report the checks of a run; the last line states whether a check failed."""
         lines = [f"{self.path.parent.name}/{self.path.name}  {self.status}", ""]
         lines += [line for check in self.checks for line in check.lines()]
         failed = [check.name for check in self.checks if check.failures]
@@ -106,17 +106,17 @@ class RunFindings:
 
 
 def cut(lines: Iterable[str]) -> list[str]:
-    """Return the first lines of a check's output, and a line with the number of omitted lines."""
+    """Return the first of the given lines, and a line with the number of omitted lines."""
     found = list(lines)
     hidden = len(found) - _SHOWN
     return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
 
 
-# Commands read files with these names as parts of a run, even files that the manifest does not list.
+# The names of files that commands treat as parts of a run, even if the manifest does not list the files.
 _READ_BY_COMMANDS = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
 )
-# A running training still writes files with these names. Their digests are recorded in the manifest when the run ends.
+# The names of files that a training writes until it ends, and only then records in the manifest.
 _GROWING = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )
@@ -124,7 +124,7 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that the manifest was not changed after the run wrote the file; add notes on what the manifest records."""
+    """Check that a run's manifest was not changed after the run wrote the file; note the run's failure and resumes."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
@@ -164,7 +164,7 @@ def files(subject: Subject) -> Check:
 
 
 def damage(subject: Subject) -> dict[str, str]:
-    """Return the problem of each file that differs from the size or digest in the manifest, and of the manifest."""
+    """Return the problems of the manifest, and of each file whose size or hash differs from that in the manifest."""
     wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.matches_digest() is False else {}
     return wrong | _wrong(subject, subject.manifest.compare_files())
 
@@ -185,7 +185,7 @@ def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
 
 
 def _never_recorded(subject: Subject) -> list[str]:
-    """Return the files that every run with the given settings writes, but that the manifest does not list."""
+    """Return the files that the manifest does not list although every run with the same settings writes them."""
     if not subject.has_snapshot:
         return []
     expected = [*NEEDED, "environment.txt", f"source/{RECORD_NAME}"]
@@ -203,18 +203,18 @@ def _what_became_of(path: Path) -> str:
 
 
 def _is_growing(subject: Subject, name: str) -> bool:
-    """Return whether the run adds a file to the manifest only when the run ends."""
+    """Return whether a run adds the file to the manifest only at the end of the run."""
     return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
 
 
 def _waiting(subject: Subject) -> list[str]:
-    """Return the files that the last resume wanted to rewrite but did not. The next resume rewrites these files."""
+    """Return the files that a crashed resume of the run has not rewritten, and that the next resume rewrites."""
     texts = subject.data["resumes"][-1].get("files_to_write") if subject.data["resumes"] else None
     return sorted(texts) if texts and not subject.has_ended else []
 
 
 def _changed_before(subject: Subject) -> dict[str, str]:
-    """Return the checkpoints that were changed after an earlier process of the run recorded their digests."""
+    """Return the checkpoints that were changed after an earlier process of the run recorded their sha256."""
     records: dict[str, Mapping[str, Any]] = {}
     for entry in subject.data["resumes"]:
         if entry.get("before") and entry["before"].get("files"):

@@ -1,4 +1,4 @@
-"""Check the files of one run against the run's manifest and against each other.
+"""Check whether the files of one run agree with the run's manifest and with each other.
 
 The checks cover the inputs of the run (parameters, source, robot) and the results of the run (iterations, checkpoints,
 recording, exported policy).
@@ -29,7 +29,7 @@ from wheelleg_exp.verify import check_files
 from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
 from wheelleg_exp.verify.run_differences import changes_text, plain_changes
 
-# The values of these OmegaConf resolvers depend on the computer and on the time.
+# The OmegaConf resolvers whose values depend on the computer or on the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
 
 
@@ -46,7 +46,7 @@ def params(subject: Subject) -> Check:
     if not isinstance(written, dict):
         return Check("params", text, skipped=f"{CONFIG} is not a mapping")
     try:
-        # An environment variable that the run did not record has the value None.
+        # An environment variable that was not recorded with the run has the value None.
         config = resolved(written, subject.data.get("config_variables") or {}, lambda _: None)
     except RunDirectoryError as error:
         return Check("params", text, skipped=f"{CONFIG}: {error.message}")
@@ -102,7 +102,7 @@ def source(subject: Subject) -> Check:
 
 
 def asset(subject: Subject) -> Check:
-    """Check that the robot's files exist and contain the digest of the compiled model."""
+    """Check that the robot's files exist and contain the hash of the compiled model."""
     identity = subject.run.path / ROBOT
     if not identity.is_file():
         return Check("asset", "", skipped="the run saved no robot")
@@ -116,7 +116,7 @@ def asset(subject: Subject) -> Check:
 
 
 def iterations(subject: Subject) -> Check:
-    """Check that the iteration log counts from 0 without gaps, and ends at the last iteration in the manifest."""
+    """Check that a run's iteration log counts from 0 without gaps up to the last iteration in the manifest."""
     log, failures = subject.log, list(subject.log.problems)
     notes: list[str] = []
     if not subject.run.iterations.is_file() and not subject.run.checkpoints() and subject.status != "finished":
@@ -142,7 +142,7 @@ def _results_problems(subject: Subject) -> Iterator[str]:
 
 
 def checkpoints(subject: Subject) -> Check:
-    """Compare each checkpoint's iteration with its file name, and each checkpoint's digests with the iteration log."""
+    """Compare each checkpoint's iteration with the file name, and each checkpoint's hashes with the iteration log."""
     paths, last = subject.run.checkpoints(), subject.manifest.results.get("checkpoint")
     if not paths:
         missing = ["a finished run has no checkpoint"] if subject.status == "finished" or last else []
@@ -162,7 +162,7 @@ def checkpoints(subject: Subject) -> Check:
 
 
 def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
-    """Return the problems of a checkpoint, and the names of the digests that were compared."""
+    """Return the problems of a checkpoint, and the names of the compared hashes, such as that of the parameters."""
     from wheelleg_exp.rl import checkpoint, digests
 
     iteration = checkpoint_iteration(path)
@@ -184,7 +184,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
 
 
 def failure(subject: Subject) -> Check:
-    """Check that the simulation state saved after a failure is readable and agrees with the manifest."""
+    """Check that the simulation state that a failed run saved is readable and agrees with the run's manifest."""
     entry, path = subject.data.get("failure"), subject.run.path / FAILURE
     if entry is None:
         return Check("failure", "none")
@@ -201,7 +201,7 @@ def failure(subject: Subject) -> Check:
 
 
 def recording(subject: Subject) -> Check:
-    """Check that the recording of the training is readable and complete."""
+    """Check that the recording of a training is readable and complete."""
     path = subject.run.recording
     if not path.exists():
         return Check("recording", "", skipped="the run has no recording")
@@ -215,7 +215,7 @@ def recording(subject: Subject) -> Check:
         return Check("recording", text, lines)
     if not subject.has_ended or health.is_closed:
         return Check("recording", text, notes=lines)
-    # A recording without an index is complete if its digest is the digest in the manifest.
+    # A recording without an index is complete if its hash equals the recording's hash in the manifest.
     record = subject.manifest.recorded_files().get(path.name)
     if record is None or record["sha256"] != sha256(path):
         return Check("recording", text, lines)
@@ -225,7 +225,7 @@ def recording(subject: Subject) -> Check:
 
 
 def exported(subject: Subject) -> Check:
-    """Check that the files of the exported policy are readable."""
+    """Check that the files of a run's exported policy are readable."""
     folder = subject.run.exported
     names = sorted(path.name for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
     if not names:
@@ -236,7 +236,7 @@ def exported(subject: Subject) -> Check:
             with zipfile.ZipFile(folder / "policy.pt") as archive:
                 require_bounded(archive)
                 damaged = archive.testzip() is not None
-        except Exception:  # Reading a damaged archive can raise any error.
+        except Exception:  # Reading a damaged archive can raise any exception.
             damaged = True
         failures += ["exported/policy.pt is damaged"] if damaged else []
     if "policy.json" in names and not isinstance(read_json(folder / "policy.json"), Mapping):
@@ -249,7 +249,7 @@ _OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, reco
 
 
 def verify_run(run: RunDirectory) -> RunFindings:
-    """Check a run's files against the run's manifest and each other, without executing code that the run stores."""
+    """Check whether a run's files agree with the run's manifest and each other, without executing stored code."""
     manifest = run.manifest()
     subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]
@@ -265,10 +265,10 @@ def verify_run(run: RunDirectory) -> RunFindings:
 
 
 def _guarded(check: Callable[[Subject], Check], subject: Subject) -> Check:
-    """Run one check. If the check cannot read a file, only this check fails, and the other checks continue."""
+    """Run one check. If a check cannot read a file, the check fails, and the remaining checks of the run continue."""
     try:
         return check(subject)
     except RunDirectoryError as error:
         return Check(check.__name__, "", [str(error)])
-    except Exception as error:  # Reading a damaged file can raise any error.
+    except Exception as error:  # Reading a damaged file can raise any exception.
         return Check(check.__name__, "", [f"it cannot be checked: {type(error).__name__}: {error}"])

@@ -1,4 +1,4 @@
-"""Find the first difference between two runs, and describe the comparison of the runs as text."""
+"""Find the first difference between two runs, and describe the comparison of two runs as text."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from wheelleg_exp.verify.run_parts import Part, Parting, Sides, Span
 class Divergence:
     """The first difference between two runs."""
 
-    iteration: int | None  # None if the difference is in no training iteration, but in the settings
-    part: str  # The compared part, ``files`` (a file is missing or damaged), or ``length``.
-    name: str  # The first key, digest, scalar, tensor, or entity that differs.
-    a: Any = None  # The value of ``name`` in run A, if ``name`` has a single value.
+    iteration: int | None  # The training iteration of the difference; None for a difference in settings.
+    part: str  # The part of the runs that differs; ``files`` means a missing or damaged file.
+    name: str  # The first key, hash, scalar, tensor, or entity that differs between two runs.
+    a: Any = None  # The value of ``name`` in run A; None if ``name`` has several values.
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -77,7 +77,7 @@ def _of_pair(pair: Pair, details: dict[str, Any]) -> Divergence:
     return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, details)
 
 
-_FACTS = 12  # At most this number of differences between the environments of two runs is printed.
+_FACTS = 12  # The largest number of printed differences between the environments of two runs.
 
 
 def divergence_lines(first: Divergence) -> list[str]:
@@ -99,13 +99,13 @@ def divergence_lines(first: Divergence) -> list[str]:
 
 
 def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
-    """Yield lines of text about different environments, and about different settings that change no number."""
+    """Yield lines about different environments of two runs, and about different settings that change no number."""
     harmless = [change for change in settings if not decides(change.keys)]
     if not (found or harmless):
         yield from ("", "environment: no recorded fact differs")
         return
     yield from ("", "these differ, but changed no number" if equal else "these differ, and may be the cause")
-    # Sort code differences first, then differences that allow unequal numbers, and package versions last.
+    # Sort differences in code first, then differences that can change numbers, and package versions last.
     ordered = sorted(found, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
     rows = [_fact_row(difference) for difference in ordered]
     rows += [(change.key, brief(change.a), brief(change.b), "changes no number") for change in harmless]
@@ -120,7 +120,7 @@ def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change
 
 
 def checkpoints_text(found: CheckpointComparison) -> str:
-    """Return one line of text that summarizes the comparison of all checkpoints."""
+    """Return one line of text that summarizes the comparison of two runs' checkpoints."""
     states = [pair.state for pair in found.pairs]
     kinds = {"bytes": "byte for byte", "content": "equal, in different bytes"}
     kinds |= {"different": "different", "unreadable": "unreadable"}
@@ -168,7 +168,7 @@ def _fact_row(difference: FactDifference) -> tuple[str, str, str, str]:
     a, b = difference.a, difference.b
     if isinstance(a, list) and isinstance(b, list):
         a, b = ([x for x in one if x not in other] for one, other in ((a, b), (b, a)))
-    # Of a source code hash, only the first digits are printed.
+    # Only the first digits of a source code hash are printed.
     is_hash = [difference.section == "code" and isinstance(x, str) and len(x) in (40, 64) for x in (a, b)]
     one, other = (brief(x[:10] if short else x) for x, short in zip((a, b), is_hash, strict=True))
     allows = f"allows other rounding: {difference.allows}" if difference.allows else ""

@@ -1,6 +1,6 @@
 """Compare checkpoints tensor by tensor, and exported policies by their weights, code, and graphs.
 
-Only two checkpoints of one iteration are in memory at a time. Exported policies are never run.
+At most two checkpoints, those of one iteration, are in memory at a time. Exported policies are never run.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from wheelleg_exp.verify.run_parts import Part, some
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
-_MOST_LEAVES = 50  # For each pair of checkpoints, at most this number of differences is stored.
+_MOST_LEAVES = 50  # The largest number of stored differences between two checkpoints.
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Pair:
 
     iteration: int
     state: Literal["bytes", "content", "different", "unreadable"]  # ``content``: equal tensors, but different bytes
-    count: int = 0  # Of ``of`` compared values, ``count`` values differ.
+    count: int = 0  # The number of values that differ, out of ``of`` compared values.
     of: int = 0
-    differences: list[Difference] = field(default_factory=list)  # Sorted: networks first, random streams last.
+    differences: list[Difference] = field(default_factory=list)  # Differences of networks are first.
     by_part: dict[str, int] = field(default_factory=dict)  # The number of differences in each part of the checkpoint.
-    parameters: float | None = None  # The relative Euclidean distance between the networks' parameters.
+    parameters: float | None = None  # The relative Euclidean distance between the parameters of two networks.
     problem: str | None = None  # The reason why a checkpoint file cannot be read.
 
     @property
@@ -59,7 +59,7 @@ class CheckpointComparison:
 
 
 def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> CheckpointComparison:
-    """Compare the checkpoints of two runs in the iterations below ``until``."""
+    """Compare the checkpoints of two runs at the iterations below ``until``."""
     ones, others = ({checkpoint_iteration(path): path for path in run.checkpoints()} for run in (a, b))
     return CheckpointComparison(
         pairs=[compare_pair(i, ones[i], others[i]) for i in sorted(i for i in ones if i in others and i < until)],
@@ -69,7 +69,7 @@ def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> Checkpo
 
 
 def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
-    """Compare two checkpoint files. If the bytes of the files are equal, do not load the files."""
+    """Compare two checkpoint files. If the bytes of two checkpoint files are equal, do not load these files."""
     try:
         with for_people(a, "compare"):
             if filecmp.cmp(a, b, shallow=False):
@@ -106,21 +106,21 @@ def _part(name: str) -> str:
 
 def _order(difference: Difference) -> tuple[int, float]:
     """Return the sort key of a difference: by part of the checkpoint, then by size."""
-    # Sort shapes and missing tensors first, then NaN in only one checkpoint, then the largest relative differences.
+    # Sort different shapes and missing tensors first, then NaN in one checkpoint, then large relative differences.
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     part = _part(difference.name)
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
     if difference.kind != "values" or difference.relative is None:
         return rank, -3.0
-    # A relative difference is never larger than 2.
+    # The number 2.5 exceeds every relative difference, which is at most 2.
     return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
 _EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
-# TorchScript adds a number to each class name that depends on the order of scripting, so ignore these numbers.
+# Ignore the numbers that TorchScript adds to class names, because they depend on the order of scripting.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# These pickle operations contain no values, but only the protocol version and memo positions.
+# The pickle operations that contain only the protocol version and memo positions, but no values.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 
@@ -154,7 +154,7 @@ def _compare(a: Path | None, b: Path | None) -> str:
         texts = ("weights differ", "code differs")
         differing = [text for text, side in zip(texts, sides, strict=True) if side(a) != side(b)]
         return " and ".join(differing) or _EQUAL_CONTENT
-    except Exception as error:  # Reading a damaged file can raise any error.
+    except Exception as error:  # Reading a damaged file can raise any exception.
         return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
 
 
@@ -168,14 +168,14 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
-    # Remove class numbers and sort constants, because both depend on the process that wrote the archive.
+    # Remove class numbers and sort constants, because both depend on the process that wrote a TorchScript archive.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
         for name in archive.namelist():
             inner = name.split("/", 1)[-1]
             if inner.endswith(".pkl"):
-                # List the operations of a pickle without running them.
+                # List the operations of a pickle file without running them.
                 operations = pickletools.genops(archive.read(name))
                 found[inner] = [
                     (op.name, _NUMBER.sub("", repr(x))) for op, x, _ in operations if op.name not in _BOOKKEEPING
@@ -187,7 +187,7 @@ def _archived_code(path: Path) -> dict[str, Any]:
 
 
 def _definitions(code: str) -> list[str]:
-    """Return the source text of each class and function in a file, without class numbers and with sorted constants."""
+    """Return the code of all classes and functions in a TorchScript file, without class numbers, constants sorted."""
     ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), _NUMBER.sub("", code))
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 

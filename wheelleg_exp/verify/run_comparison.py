@@ -20,7 +20,7 @@ from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_t
 from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
-_OF_THE_SNAPSHOT = ("params", "source", "asset")  # These checks of ``verify_run`` cover the input files of a run.
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # The checks of ``verify_run`` for the input files of a run.
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
@@ -31,15 +31,15 @@ class Comparison:
     a: Measured
     b: Measured
     verdict: Verdict
-    reason: str  # A sentence that explains the verdict.
+    reason: str  # A sentence that explains whether two runs count as equal.
     first_divergence: Divergence | None
-    iterations: int  # The number of compared iterations.
+    iterations: int  # The number of compared training iterations.
     settings: list[Change]
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]  # Code, versions, hardware, threads, and variables.
-    tolerance: Tolerance | None = None  # None if no deviation is allowed or no number differs.
+    environment: list[FactDifference]  # Differences in code, versions, hardware, threads, and environment variables.
+    tolerance: Tolerance | None = None  # The measured deviations; None if no deviation is allowed or none exists.
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -61,7 +61,7 @@ class Comparison:
         }
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the comparison of two runs; the last line is the verdict."""
+        """Return the lines of text that report the comparison of two runs; the last line states the result."""
         sides = (("A", self.a), ("B", self.b))
         lines = [f"{name}  {run.label}  {run.status}, {len(run.log.lines)} iterations" for name, run in sides]
         lines += ["", *(f"{name:<12}{found.state:<14}{found.text}" for name, found in self.parts.items())]
@@ -78,11 +78,11 @@ class Comparison:
 def compare_runs(
     a: RunDirectory, b: RunDirectory, *, iterations: int | None = None, common: bool = False
 ) -> Comparison:
-    """Compare two runs bit for bit.
+    """Compare two training runs bit for bit.
 
-    If ``iterations`` is given, only the iterations below this number are compared. If ``common`` is true, only the
-    iterations that both runs have are compared. A run that is still running is compared up to its last iteration. If
-    neither ``iterations`` nor ``common`` is given, two runs with unequal numbers of iterations are different.
+    If the number ``iterations`` is given, only the iterations below this number are compared. If ``common`` is true,
+    only the iterations that both runs have are compared. A run that has not ended is compared up to its last iteration.
+    Without ``iterations`` and ``common``, two runs with unequal numbers of iterations are different.
     """
     if a.path == b.path:
         raise RunDirectoryError(f"both runs are the run '{a.id}'", expected="two runs, or one run to check by itself")
@@ -125,7 +125,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         distance = None if here is None or here.parameters is None else (here.iteration, here.parameters)
         tolerance = judge(ones, others, distance, whole=span.whole)
     verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
-    # A manifest can be rewritten to hide a changed file. The check for this is slow, so check only equal runs.
+    # Check only equal runs for a manifest that was rewritten to hide a changed file, because this check is slow.
     if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
         parts["files"] = _damage_part(wrong)
         verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"
@@ -141,7 +141,7 @@ def _damage_part(wrong: dict[str, list[str]]) -> Part:
 
 
 def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
-    """Return the failed checks of each run; a rewritten manifest does not hide files that contradict each other."""
+    """Return the failed checks of each run; a rewritten manifest does not hide contradictions between run files."""
     found: dict[str, list[str]] = {}
     for side, measured in (("A", a), ("B", b)):
         checks = [c for c in verify_run(measured.run).checks if span.whole or c.name in _OF_THE_SNAPSHOT]
@@ -163,7 +163,7 @@ def _checkpoints_part(found: CheckpointComparison) -> Part:
 
 
 def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Change]) -> dict[str, Part]:
-    """Compare recordings, exported policies, and results if both runs ended after equally many iterations."""
+    """Compare two runs' recordings, exported policies, and results if both runs ended after equally many iterations."""
     if not span.closed:
         why = "a run did not end by itself" if span.whole else "the runs have different lengths"
         other = Part("not compared", why)

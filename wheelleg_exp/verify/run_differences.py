@@ -1,9 +1,9 @@
 """List the differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
 
 A difference *allows* other numbers if it is known to change the order or the kind of floating-point operations, and
-nothing else: another CPU, other vector instructions, another build of the libraries that compute. If only a setting or
-the number of physics threads differs, the numbers of two runs must be equal. Different code *forbids* a comparison
-within tolerance, because effects of code and of rounding cannot be separated.
+nothing else: another CPU, other vector instructions, another build of the libraries that compute. A different setting
+or number of physics threads does not excuse unequal numbers. Different code *forbids* a comparison within tolerance,
+because no test separates effects of code from rounding.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
-# The following settings change files, speed, or buffer sizes, but no number. A too small buffer raises an error.
+# Settings that change files, speed, or buffer sizes, but no computed number; a too small buffer raises an error.
 _HARMLESS: tuple[Keys, ...] = (
     *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
     *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
@@ -40,7 +40,7 @@ def decides(keys: Keys) -> bool:
 
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return the different settings of two runs; settings that can change a number are first."""
+    """Return the settings that differ between two runs; the settings that can change a number are first."""
     return sorted(plain_changes(_settings(a), _settings(b)), key=lambda change: not decides(change.keys))
 
 
@@ -55,14 +55,14 @@ def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
 
 
 def as_dict(change: Change) -> dict[str, Any]:
-    """Return a changed setting as a JSON document."""
+    """Return a setting that differs between two runs as a JSON document."""
     # JSON has no value for a missing key, so write a missing value as text.
     a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 
 
 def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
-    """Return a text that lists the different settings, and the values of the first few settings."""
+    """Return a text that lists the settings that differ between two runs, with the values of the first few settings."""
     texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
     return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
 
@@ -121,7 +121,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
-_WIDEST = 40  # A printed value is cut to this number of characters.
+_WIDEST = 40  # The largest number of characters of a printed config value.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
@@ -147,20 +147,20 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # This fact is unknown before the import of torch.
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # The fact that is unknown before the import of torch.
 
 
 @dataclass(frozen=True)
 class FactDifference:
     """One recorded fact that differs between two runs."""
 
-    section: str  # A section of the manifest, or ``code``, ``resumed``, or ``distributions``.
+    section: str  # The manifest section of the fact, or ``code``, ``resumed``, or ``distributions``.
     name: str
-    a: Any  # The value in run A; a list of values if a resume changed the value.
+    a: Any  # The fact's value in run A; a list of values if a resume changed the fact.
     b: Any
-    allows: str | None = None  # Why the fact can change the last digits of numbers; None if numbers must be equal.
-    forbids: bool = False  # True if numbers can differ by any amount, for example because of different code.
-    note: str = ""  # A description of the difference in words.
+    allows: str | None = None  # Why the differing fact can change last digits; None if it cannot.
+    forbids: bool = False  # True if the differing fact, such as code, can change numbers by any amount.
+    note: str = ""  # A text that describes how the fact differs between two runs.
 
 
 def environment_differences(
@@ -168,8 +168,8 @@ def environment_differences(
 ) -> list[FactDifference]:
     """Return how two manifests, or parts of manifests, differ in the sections ``SECTIONS``.
 
-    A section that only one manifest has is skipped. The facts named in ``unknown`` are also skipped, because one run
-    has not recorded these facts yet.
+    A section that only one manifest has is skipped. The facts named in ``unknown`` are skipped, because one of the two
+    runs has not recorded these facts.
     """
     found = []
     for section in SECTIONS:
@@ -184,7 +184,7 @@ def environment_differences(
 
 
 def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
-    """Return how two runs differ in code, environment, and installed Python distributions."""
+    """Return how two runs differ in code, environment, and installed Python packages."""
     one, other = a.manifest(), b.manifest()
     facts = environment_differences(one.data, other.data)
     listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
@@ -196,7 +196,7 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return the values of each fact, one for each process (start and resumes) that wrote the run, without repeats."""
+    """Return the values of each fact in the processes (first start and resumes) that wrote a run, without repeats."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -212,12 +212,12 @@ def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tupl
     if (section, name) == ("threads", "torch"):
         return None if all(map(_independent, manifests)) else _THREADS_OF_TORCH
     if (section, name) == ("hardware", "platform") and [*map(_library, a)] == [*map(_library, b)]:
-        return None  # The two platforms differ only in the version of the Linux kernel.
+        return None  # Two platforms that differ only in the Linux kernel's version count as equal.
     return _ALLOWING.get(section, {}).get(name)
 
 
 def _independent(manifest: Mapping[str, Any]) -> bool:
-    """Return whether the number of torch threads cannot change a number, according to the manifest or MKL settings."""
+    """Return whether, according to a run's manifest, the number of torch threads cannot change results."""
     recorded = (_values(manifest, "threads") or {}).get("independent")
     if recorded is not None:
         return all(value is True for value in recorded)
@@ -244,7 +244,7 @@ def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
 def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:
     for number in range(max(len(a), len(b), 1)):
         one, other = (side[number] if number < len(side) else {} for side in (a, b))
-        # If the git trees or the digests are equal, the files are equal, even if the commits differ.
+        # Two source trees with equal git tree ids or hashes contain equal files, even if their commits differ.
         if any(one.get(key) is not None and one.get(key) == other.get(key) for key in ("tree", "content_sha256")):
             continue
         mark = f" ({number + 1})" if number else ""
@@ -252,7 +252,7 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # The source records do not identify the source files.
+        if not facts:  # Without facts, the source records do not identify the source files.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
@@ -275,7 +275,7 @@ def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
 
 
 def is_the_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether a resume was inexact only because the computer or the package versions were different."""
+    """Return whether a resume was inexact only because the computer or package versions had changed since the start."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
     return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
@@ -295,10 +295,10 @@ def _normal(name: str) -> str:
 
 
 def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences that explain unequal numbers in the two runs."""
+    """Return the differences between two runs that explain unequal numbers in the runs."""
     return [difference for difference in differences if difference.allows]
 
 
 def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences because of which two runs must not be compared within tolerance."""
+    """Return the differences between two runs that forbid a comparison within tolerance."""
     return [difference for difference in differences if difference.forbids]

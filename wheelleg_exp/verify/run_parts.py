@@ -1,4 +1,4 @@
-"""Compare the scalars, digests, recordings, and results of two runs in the iterations that both runs have."""
+"""Compare the scalars, hashes, recordings, and results of two runs in the iterations that both runs have."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class Span:
     """The iterations of two runs that are compared: the iterations below ``until``."""
 
     until: int
-    whole: bool  # True if neither run has or will get more iterations than the compared ones.
-    closed: bool  # True if ``whole`` is true and no run was killed, so no file is truncated.
-    shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if lengths do not matter.
+    whole: bool  # True if all iterations of both runs are compared.
+    closed: bool  # True if ``whole`` is true and neither of the compared runs was killed.
+    shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if runs may differ in length.
 
     def covers(self, name: str) -> bool:
-        """Return whether a file of a run belongs to the compared iterations."""
+        """Return whether a file of a run belongs to the iterations that are compared with a second run."""
         checkpoint = CHECKPOINT.fullmatch(name)
         if self.whole or checkpoint is None:
             return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)
@@ -57,7 +57,7 @@ class Span:
 
 
 def measure(run: RunDirectory) -> Measured:
-    """Read a run's status and iteration log, and find the damaged files of the run."""
+    """Read a run's status and iteration log, and find the run's damaged files."""
     manifest, log = run.manifest(), read_log(run.iterations)
     subject = Subject(run, manifest, effective_status(manifest), log)
     found = damage(subject)
@@ -87,7 +87,7 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 State = Literal["equal", "different", "not compared"]
 Sides = tuple[Measured, Measured]  # The two compared runs A and B.
 
-_TIME = "seconds"  # A result whose key has this suffix is a duration, and durations can differ between equal runs.
+_TIME = "seconds"  # The suffix of results that are durations, which differ even between equal runs.
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,13 @@ class Part:
     details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the comparison of one part of two runs as a JSON document."""
+        """Return the comparison of one part of two runs, such as the scalars, as a JSON document."""
         return {"state": self.state, "text": self.text, **self.details}
 
 
 @dataclass(frozen=True)
 class Parting:
-    """The first iteration in which two iteration logs differ, and the digests and scalars that differ there."""
+    """The first iteration in which two iteration logs differ, and the differing hashes and scalars."""
 
     iteration: int
     digests: list[str]
@@ -114,7 +114,7 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the digests that both log lines have and that were computed by one algorithm."""
+    """Return the names of the hashes that one algorithm has computed for both of two log lines."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 
@@ -150,7 +150,7 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the logged digests of two runs in every iteration."""
+    """Compare the logged hashes of two runs in every iteration."""
     names: dict[str, int] = {}
     first: dict[str, int] = {}
     for one, other in zip(a, b, strict=True):
@@ -191,13 +191,13 @@ def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
 
 
 def some(names: Sequence[str], shown: int = 3) -> str:
-    """Return a text with the first few names, and with the number of the remaining names."""
+    """Return a text with the first few of the given names and the number of the remaining names."""
     hidden = len(names) - shown
     return ", ".join(names[:shown]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 def results_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the results in the manifests of two runs, but not the durations."""
+    """Compare the results in the manifests of two runs, except results that are durations."""
     ones, others = ({k: v for k, v in run.manifest().results.items() if not k.endswith(_TIME)} for run in (a, b))
     if not ones or not others:
         owners = [side for side, results in (("A", ones), ("B", others)) if results]

@@ -20,13 +20,13 @@ class Difference:
     """One tensor, number, or text that differs between two nested mappings A and B, and its dotted name."""
 
     name: str
-    kind: str  # One of ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, and ``only in B``.
-    a: Any  # The value at ``index`` in A, or the shape, dtype, or type in A.
+    kind: str  # The kind of difference: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
+    a: Any  # The value at ``index`` in mapping A, or the shape, dtype, or type in A.
     b: Any
-    index: tuple[int, ...] = ()  # of the largest difference
-    largest: float | None = None  # The largest absolute difference; NaN if only one value is NaN or infinite.
-    relative: float | None = None  # The largest absolute difference, divided by the larger magnitude.
-    count: int = 1  # Of ``of`` elements, ``count`` elements differ.
+    index: tuple[int, ...] = ()  # The tensor index of the largest difference.
+    largest: float | None = None  # The largest absolute difference of two tensors; NaN if NaN or inf differs.
+    relative: float | None = None  # The largest absolute difference divided by the larger magnitude of both values.
+    count: int = 1  # The number of tensor elements that differ, out of ``of`` elements.
     of: int = 1
 
 
@@ -86,7 +86,7 @@ def _brief(value: Any) -> str:
 
 def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     width = a.element_size()
-    # Compare the bits of floats, because NaN != NaN and -0.0 == 0.0 if values are compared.
+    # Compare bits instead of float values, because NaN != NaN and -0.0 == 0.0.
     bits = [torch.frombuffer(bytearray(tensor_bytes(x)), dtype=torch.uint8).reshape(-1, width) for x in (a, b)]
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
@@ -96,7 +96,7 @@ def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     odd = differs & ~apart.isfinite()
     if bool(odd.any()):
         at = int(odd.int().argmax())
-    else:  # Find the element with the largest difference, otherwise the first element whose bits differ.
+    else:  # Find the tensor element with the largest difference, otherwise the first element whose bits differ.
         at = int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
     largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
     scale = max(abs(one), abs(other))

@@ -1,21 +1,21 @@
-"""Decide whether two runs with unequal numbers are the same training up to rounding.
+"""Decide whether rounding alone can explain why two training runs have unequal numbers.
 
-A training amplifies a difference in the last digit of a number. Two runs of the stock task with different matrix
-kernels agree to 1e-6 for about four iterations; after eight iterations, only the statistics of the runs agree.
-Therefore no tolerance can apply to the numbers of every iteration. Two runs are within tolerance if they pass two
-tests:
+A training amplifies even a difference in the last digit of a number. Two runs of the stock task with different matrix
+kernels agree to 1e-6 for about four iterations; after eight iterations, only the statistics of the runs agree. Two runs
+are within tolerance if they pass two tests:
 
 - Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
-  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. Different matrix kernels
-  caused a deviation of 1e-6, a different seed caused at least 0.4.
+  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, different
+  matrix kernels caused a deviation of 1e-6, and a different seed caused at least 0.4.
 - End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
-  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. This fluctuation
-  is large while a run still learns fast. In a test with 110 iterations, the mean return deviated by 0.001 of its range.
+  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation
+  of the return is large while a run learns fast. In a test with 110 iterations, the mean returns of two runs differed
+  by 0.001 of the return's range.
 
-Iterations in which the return or length has no value are skipped, such as iterations before the end of the first
-episode. If only one run has a return or length at the end, the runs fail the end test. If both runs lack the value, the
-result has a note. Runs of at least 50 iterations are not within tolerance if neither return nor length can be compared.
-Runs of fewer than 50 iterations, and the first parts of longer runs, only need to pass the start test.
+Iterations without a value of the return or episode length are skipped, such as those before the first episode ends. Two
+runs fail the end test if only one of the runs has a final return or episode length. Runs of at least 50 iterations are
+not within tolerance if neither return nor episode length can be compared. Runs of fewer than 50 iterations need to pass
+only the start test.
 
 If no known difference between the runs explains unequal numbers, every bit must be equal, and no tolerance applies.
 """
@@ -32,19 +32,19 @@ from wheelleg_exp.run.iteration_log import Line
 
 START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # The end test is not applied to runs with fewer iterations.
-_TINY = 1e-9  # Magnitudes below this number are treated as zero, because small means are often sums that cancel.
+_SHORTEST = 50  # The smallest number of iterations of runs to which the end test is applied.
+_TINY = 1e-9  # The smallest magnitude that counts as different from zero; smaller means are rounding errors.
 
 
 @dataclass(frozen=True)
 class Excess:
-    """One number in two runs, the deviation between both runs, and the largest allowed deviation."""
+    """The values of one number in two runs, their deviation, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # None if the number is a mean over the last iterations.
+    iteration: int | None  # The training iteration of the number; None for a mean over iterations.
     a: float
     b: float
-    off: float  # The deviation: relative in the start test, absolute in the end test.
+    off: float  # The deviation between two runs: relative in the start test, absolute in the end test.
     allowed: float
 
     @property
@@ -54,7 +54,7 @@ class Excess:
 
     @property
     def sign(self) -> str:
-        """The text ``within`` if the deviation is allowed, otherwise ``more than``."""
+        """The text ``within`` if the deviation between two runs is allowed, otherwise ``more than``."""
         return "within" if self.within else "more than"
 
 
@@ -62,23 +62,23 @@ class Excess:
 class Tolerance:
     """The measured deviations between two runs."""
 
-    start: list[Excess]  # The largest deviations in the first iteration that differs.
-    end: list[Excess]  # The deviation of the return and of the episode length at the end.
-    note: str = ""  # A note that says what was not compared.
-    needs_end: bool = False  # True if the end test was required.
+    start: list[Excess]  # The largest deviations in the first iteration in which two runs differ.
+    end: list[Excess]  # The deviations of the final return and episode length.
+    note: str = ""  # A text that says what was not compared in two runs.
+    needs_end: bool = False  # True if two runs must pass the end test.
 
     @property
     def unknown(self) -> bool:
-        """True if the runs passed the start test, but the required end test was impossible."""
+        """True if two runs passed the start test, but lack the values for the required end test."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """True if the runs passed all required tests."""
+        """True if two runs passed all required tests of their deviations."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
-        """Return a text with the first iteration in which the runs differ, and the largest deviation in it."""
+        """Return a text with the first iteration in which two runs differ and the largest deviation in it."""
         worst = max(self.start, key=lambda excess: excess.off, default=None)
         if worst is None:
             return "digests differ, and no scalar does"
@@ -91,7 +91,7 @@ class Tolerance:
         return {"within": self.within, **rows, "note": self.note}
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the deviations between two runs."""
+        """Return the lines of text that report the deviations between two training runs."""
         lines = []
         for x in self.start:
             values = "" if math.isnan(x.a) else f" (A {x.a:.9g}, B {x.b:.9g})"
@@ -106,9 +106,9 @@ class Tolerance:
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
     """Measure the deviations between two runs in the iterations that both runs have.
 
-    ``parameters`` contains the first differing iteration and the relative distance between the networks' parameters in
-    this iteration; it is None if a run saved no checkpoint there. ``whole`` is true if ``a`` and ``b`` contain all
-    iterations of the runs.
+    ``parameters`` is the first differing iteration and the relative distance between the networks' parameters in this
+    iteration; None if a run saved no checkpoint in this iteration. ``whole`` is true if ``a`` and ``b`` contain all
+    iterations of the two runs.
     """
     parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
     start = [] if parting is None else [_start(*parting)]
@@ -124,12 +124,12 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
 
 
 def _start(a: Line, b: Line) -> Excess:
-    """Return the scalar with the largest deviation between two log lines of one iteration."""
+    """Return the scalar that deviates most between two runs' log lines of one iteration."""
     excesses = []
     for name in dict.fromkeys([*a.scalars, *b.scalars]):
         one, other = a.scalars.get(name), b.scalars.get(name)
         if one != other:
-            # The log contains NaN as text, and a scalar can be missing in one run.
+            # The iteration log contains NaN as text, and one of the two runs can lack a scalar.
             x, y = _number(one), _number(other)
             off = math.inf if math.isnan(x) or math.isnan(y) else abs(x - y) / max(abs(x), abs(y), _TINY)
             excesses.append(Excess(name, a.iteration, x, y, off, START))

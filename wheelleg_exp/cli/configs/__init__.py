@@ -1,4 +1,4 @@
-"""Commands that read configs and run no simulation.
+"""Define the commands that read configs without running a simulation.
 
 | module | contents |
 |---|---|

@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the errors and implausible values of a config; return 2 for errors, 1 for implausible values, else 0."""
+    """Print a config's errors and implausible values; return status 2 for errors, 1 for implausible values, else 0."""
     if args.list:
         from wheelleg_exp.lint.physics_check import RULES
 
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
-    """Return the errors in the key ``init_from``; print how the initial policy's observations differ from the task."""
+    """Return the errors in ``init_from``; print how the observations of the initial policy and of the task differ."""
     from wheelleg_exp.config.config_errors import parts
     from wheelleg_exp.jobs.train.initial_networks import initial_file
 
@@ -90,7 +90,7 @@ def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
 
 
 def _check_pipeline(args: argparse.Namespace) -> int:
-    """Check the config, the initial networks, and the pass condition of every phase of a training pipeline."""
+    """For every phase of a training pipeline, check the config, the initial networks, and the pass condition."""
     if args.physics or args.all:
         message = "the option applies only to a single task"
         raise UsageError(message, key="--physics", expected="task=... and the overrides of one phase")

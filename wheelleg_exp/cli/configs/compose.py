@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     import yaml
 
-    # PyYAML exceeds the given line width by up to one entry, so the width is less than 80 characters.
+    # PyYAML's lines can be one list entry longer than the given width, so the width is less than 80 characters.
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
     print(text.removesuffix("...\n"), end="")
     return EXIT_OK
@@ -93,7 +93,7 @@ def _print_provenance(composed: Composed, package: str | None, *, resolve: bool,
 
 
 def _print_line(text: str, place: str) -> None:
-    """Print a config value and the place that set the value, on one line, or on two lines on a narrow screen."""
+    """Print a config value and the place that set the value, on one line, or on two lines in a narrow terminal."""
     line = text + place
     print(line if len(line) <= screen_width() else f"{hanging(text, 4)}\n    {place.lstrip()}")
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.explaining.config_diff import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
-_WIDEST = 44  # The printed text of a config value is cut to this number of characters.
+_WIDEST = 44  # The largest number of characters of a printed config value.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +71,7 @@ def _row(change: PlacedChange) -> tuple[str, ...]:
 
 
 def _brief(value: Any) -> str:
-    """Return a config value as one line of text; shorten a manager term to its function name and weight or mode."""
+    """Return a config value as one line of text; shorten a term to the name of its function and its weight or mode."""
     if isinstance(value, Mapping) and "_target_" in value:
         fields = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
         return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *fields])

@@ -17,7 +17,7 @@ from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
 _LABEL = 14
-_SHOWN = 24  # At most this number of values or keys of a list is printed.
+_SHOWN = 24  # The largest number of printed values or keys of one list.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the explanation of a config key; the key can be given before, between, or after the overrides."""
+    """Print the explanation of a config key; users can type the key before, between, or after overrides."""
     words = [args.key, *args.overrides]
     keys = [index for index, word in enumerate(words) if not is_override(word)]
     key = words.pop(keys[0] if len(keys) == 1 else 0)
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     for line in text(explained):
         blanks = len(line) - len(line.lstrip())
-        # The lines of a wrapped text are indented to the column at which the text starts after its label.
+        # The lines of a wrapped text are indented to the column at which the text starts behind a label.
         print(hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line)
     return EXIT_OK
 
@@ -126,7 +126,7 @@ def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return example overrides that select another option of a Hydra config group."""
+    """Return example overrides that select a different option of a Hydra config group than the present option."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]

@@ -1,4 +1,4 @@
-"""Print the result of ``wheelleg convert``, readable for a robot with 2 joints and for one with 3,000 joints."""
+"""Print the result of ``wheelleg convert``; the text is readable for robots with 2 and with 3,000 joints."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from wheelleg_exp.errors import printable
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
 
-ROWS = 15  # At most this number of rows is printed for a table or list.
-JOINTS = 40  # At most this number of joints is printed for one robot.
-WIDTH = 60  # A cell of a table has at most this number of characters.
-NAMED = 6  # A list on one line has at most this number of names.
+ROWS = 15  # The largest number of printed rows of a table or list.
+JOINTS = 40  # The largest number of printed joints of one robot.
+WIDTH = 60  # The largest number of characters in a printed table cell.
+NAMED = 6  # The largest number of names in a list that is printed on one line.
 LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
 VERDICTS = {"good": "converted without doubts", "check": "converted, check the result:", "doubtful": "DOUBTFUL:"}
 
 
 def show(conversion: Conversion, scene: Path | None) -> None:
-    """Print a robot conversion's verdict, warnings, summary, joints, assumptions, left-out items, and next commands."""
+    """Print whether a converted robot is usable, and list warnings, joints, assumptions, and left-out items."""
     report = conversion.report
     count, reasons = len(report.warnings), list(report.verdict.reasons)
     if report.verdict.level == "check" and count:
@@ -49,7 +49,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     order = report.dof_order  # The printed table lists the joints in MuJoCo's order.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
-    # Print one row for each kind of assumption, with the assumed value and the places where the value was used.
+    # Print a row for each kind of assumption, with the assumed value and the joints or links that use the value.
     rules: dict[str, dict[str, str]] = {}
     for item in report.assumptions:
         rules.setdefault(item.rule, {})[item.path] = item.value
@@ -102,11 +102,11 @@ def _few(names: Sequence[str], most: int = NAMED, more: str = "") -> str:
 
 
 def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
-    """Return a table row in SI units for each joint, with the original values of the robot file if these differ."""
+    """Return a table row in SI units for each joint; add the robot file's original values if they differ."""
     from wheelleg_exp.asset.robot_values import effort_of
 
     report, robot = conversion.report, conversion.description
-    # Find the joints that are driven by an actuator of the MJCF file.
+    # Find the joints that an actuator of the MJCF file drives.
     acting = {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
     rows: list[tuple[str, ...]] = []
     for dof in robot.dofs:
@@ -116,7 +116,7 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
         limits = "unlimited"
         if dof.range is not None:
             limits = f"{dof.range[0]:.4g} to {dof.range[1]:.4g} {unit_of_range}"
-        # List a joint's limits and gains in the robot file's units if they differ from the MJCF values.
+        # Show a joint's limits and gains in the robot file's units if these values differ from the MJCF values.
         authored = report.authored.get(dof.path, {})
         by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
         low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
@@ -153,7 +153,7 @@ def _shortly(value: Any) -> str:
 
 
 def _left_out(report: Report) -> None:
-    # Print last the left-out items that do not affect the robot's motion.
+    # At the end, print the left-out items that do not affect the robot's motion.
     harmless = ("declared without", "a note of", "there is one")
     items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
     if items:

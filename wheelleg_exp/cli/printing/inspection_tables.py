@@ -54,7 +54,7 @@ def print_statistics(found: Mapping[str, Statistics], units: Mapping[str, str]) 
 
 
 def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> None:
-    """Print the times at which a condition on recorded numbers is true, and the rows around each time."""
+    """Print the times at which a condition on recorded numbers is true, and the recorded rows around each time."""
     several = len({hit.first.env_id for hit in hits}) > 1
     print(f"the condition becomes true {len(hits)} times" if len(hits) != 1 else "the condition becomes true once")
     if not limit:
@@ -71,7 +71,7 @@ def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> Non
 
 
 def print_comparison(found: RecordingComparison, first: Recording, second: Recording, limit: int) -> None:
-    """Print how many entities are equal in two recordings, and where each recorded number first differs."""
+    """Print how many entities are equal in two recordings, and the first time at which each recorded number differs."""
     print(f"a: {shown(first.path.absolute())}\nb: {shown(second.path.absolute())}\n")
     if found.is_equal:
         print(f"equal to the last bit: {len(found.equal)} entities")
@@ -91,7 +91,7 @@ def print_comparison(found: RecordingComparison, first: Recording, second: Recor
 
 
 def print_repaired(done: Repaired) -> None:
-    """Print which data a damaged recording has lost, and the path of its repaired copy."""
+    """Print which data a damaged recording has lost, and the path of the recording's repaired copy."""
     if done.output is None:
         print(f"{shown(done.path.absolute())} is complete; nothing was written")
         return
@@ -155,15 +155,15 @@ def number(value: float | None) -> str:
     return "-" if value is None else "nan" if math.isnan(value) else f"{value:.4g}"
 
 
-_NOTES = 3  # At most this number of notes is printed, namely the last notes of a recording.
+_NOTES = 3  # The largest number of printed notes of a recording; earlier notes are omitted.
 
 
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
     """Print tables of a recording's contents and performance figures.
 
-    The argument ``others`` contains the paths of the run's other recordings. The figures are computed from the rows
-    that ``selection`` selects. The argument ``status`` is the run's status for a training recording, and None for a
-    play recording.
+    ``others`` contains the paths of all recordings of the run except the printed recording. The performance figures are
+    computed from the recorded rows that ``selection`` selects. ``status`` is the run's status for a recording of the
+    training, and None for a recording of a play.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:
@@ -257,7 +257,7 @@ def _valued(value: float, word: str, step_dt: float | None) -> str:
 
 
 def _scope(summary: Summary, selection: Selection) -> str:
-    """Return a text that names the recorded frames from which the figures were computed."""
+    """Return a text that names the recorded frames from which performance figures were computed."""
     frames = "{} of {} recorded frames".format(*summary.frames or (0, 0))
     if summary.sample is None:
         return frames if not selection.is_all else f"all {frames.split()[0]} recorded frames"

@@ -60,7 +60,7 @@ class LiveLines:
 
 
 class ConsoleDisplay(LiveLines, Display):
-    """Show the progress of a job on standard error; if ``quiet`` is true, do not print the tables of the managers."""
+    """Show a job's progress on standard error; if ``quiet`` is true, do not print each manager's table of terms."""
 
     def __init__(self, quiet: bool = False) -> None:
         super().__init__(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
@@ -91,7 +91,7 @@ class ConsoleDisplay(LiveLines, Display):
         self._advance("playing", done, total, "")
 
     def _work(self, what: str, done: int, total: int) -> None:
-        """Show the progress of a job's preparation; without a terminal, print lines only if the preparation is slow."""
+        """Show the progress of a job's preparation; without a terminal, print lines only for a slow preparation."""
         if self._live:
             self._advance(what, done, total, "")
             if done == total and self._task is not None:
@@ -131,7 +131,7 @@ def figures(scalars: Mapping[str, float]) -> str:
 
 
 class ConsoleSweepDisplay(LiveLines):
-    """Show the progress of a sweep on standard error; a note that several jobs emit is printed only once."""
+    """Show a sweep's progress on standard error; print a note that several jobs of the sweep emit only once."""
 
     def __init__(self) -> None:
         super().__init__(TimeElapsedColumn())
@@ -141,7 +141,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._all: TaskID | None = None
 
     def checking(self, done: int, total: int) -> None:
-        """Show how many jobs of the sweep have been checked so far."""
+        """Show for how many jobs of the sweep the config has been checked."""
         if not self._live:
             return
         if self._all is None:
@@ -149,7 +149,7 @@ class ConsoleSweepDisplay(LiveLines):
         self._progress.update(self._all, completed=done)
 
     def checked(self) -> None:
-        """Reset the progress bar after all jobs were checked; from now on, the bar counts the jobs that have ended."""
+        """Reset a sweep's progress bar, so that it counts the ended jobs instead of the checked jobs."""
         if self._all is not None:
             self._progress.reset(self._all, description="jobs that have ended")
 

@@ -1,7 +1,7 @@
 """Write text and tables to the terminal, or to a pipe.
 
-Tables and blocks of text fit the screen: the terminal's width, otherwise 100 columns. If the reader of standard output
-or standard error closes the pipe, the command continues without output.
+Tables and blocks of text fit the screen: the terminal's width, otherwise 100 columns. If the process that reads the
+command's output closes the pipe, the command continues without output.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from wheelleg_exp.errors import printable
 
 
 class LastingStream:
-    """A text stream that ignores writes after the process that reads the stream has closed the pipe.
+    """A text stream to a pipe that ignores writes after the reading process has closed the pipe.
 
-    The argument ``losses`` contains the exception types that a write raises when the reader has closed the stream. In a
-    ``styled`` stream, text can contain escape sequences; otherwise control characters are written as text.
+    ``losses`` contains the exception types that a write to the stream raises after the reader has closed the pipe. A
+    ``styled`` stream writes escape sequences unchanged; a plain stream writes control characters as readable text.
     """
 
     def __init__(self, stream: Any, *losses: type[OSError], styled: bool = False) -> None:
         self._stream, self._losses, self._styled = stream, losses, styled
 
     def styled(self) -> LastingStream:
-        """Return the stream without escaping of control characters; the caller must escape untrusted text."""
+        """Return the stream that writes control characters unchanged; the caller must escape untrusted text."""
         return LastingStream(self._stream, *self._losses, styled=True)
 
     def write(self, text: str) -> int:
-        """Write a text and return its length; write a question mark for each character that the encoding lacks."""
+        """Write a text and return its length; a question mark replaces each character that the encoding lacks."""
         shown = text if self._styled else printable(text)
         try:
             try:
@@ -46,14 +46,14 @@ class LastingStream:
         return len(text)
 
     def flush(self) -> None:
-        """Flush the text stream; ignore the error if the reader has closed the pipe."""
+        """Flush the text stream; raise no error if the reader has closed the pipe."""
         try:
             self._stream.flush()
         except self._losses:
             self._redirect()
 
     def _redirect(self) -> None:
-        """Redirect the stream to the null device, so that Python's flush at the end of the process succeeds."""
+        """Redirect a text stream to the null device, so that Python can flush the stream when the process ends."""
         with suppress(OSError, ValueError):
             descriptor = self._stream.fileno()
             null = os.open(os.devnull, os.O_WRONLY)
@@ -71,10 +71,10 @@ def styled(stream: Any) -> Any:
 
 @contextmanager
 def lasting_streams() -> Iterator[None]:
-    """Inside the ``with`` block, ignore a closed pipe on standard output, and every write error on standard error.
+    """Inside the ``with`` block, ignore all write errors on standard error, and a closed pipe on standard output.
 
-    A closed terminal, or a full disk behind standard error, must not stop a training. Standard output contains the
-    result of the command, so all its write errors except a closed pipe are raised.
+    Write errors on standard error are ignored, so that a closed terminal or a full disk does not stop a training. On
+    standard output, which contains the result of the command, every write error except a closed pipe is raised.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)
@@ -99,8 +99,8 @@ def shown(path: Path) -> str:
 
 PLAIN_WIDTH = 100
 _GAP = 2  # The number of spaces between two columns of a table.
-_LEAST_WRAPPED = 12  # A wrapped table cell has at least this number of characters per line.
-_MOST_LINES = 3  # A wrapped table cell has at most this number of lines.
+_LEAST_WRAPPED = 12  # The smallest number of characters per line of a wrapped table cell.
+_MOST_LINES = 3  # The largest number of lines in a wrapped table cell.
 _INDENT = "    "
 
 Row = Sequence[object]
@@ -114,8 +114,8 @@ def screen_width() -> int:
 def wrapped(text: str, width: int) -> list[str]:
     """Wrap a text into lines of at most ``width`` characters.
 
-    A word that is longer than a line is split after ``/``, ``.``, ``,`` and ``_``. A word that contains none of these
-    four characters is never split, so that users can copy the word.
+    A word that is longer than one line is split after ``/``, ``.``, ``,`` or ``_``. A word without ``/``, ``.``, ``,``
+    and ``_`` is never split, so that users can copy the word.
     """
     lines = [""]
     for piece in re.findall(r" *[^ ]+", text):
@@ -142,10 +142,10 @@ def _broken(word: str, width: int) -> list[str]:
 
 
 def hanging(text: str, indent: int, first: str = "") -> str:
-    """Wrap a text to the width of the screen, with a hanging indent.
+    """Wrap a text to the width of the terminal, with a hanging indent.
 
-    The argument ``first`` is a label before the first line, padded with spaces to the width of the indent. If ``first``
-    is empty, the first line of the text is not indented.
+    ``first`` is a label before the first line of the text, padded with spaces to the width of the indent. With an empty
+    label ``first``, the first line of the text is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""
@@ -153,16 +153,16 @@ def hanging(text: str, indent: int, first: str = "") -> str:
 
 
 def table_width(columns: Sequence[str], rows: Sequence[Row]) -> int:
-    """Return the width of a table without lines between its cells, in characters."""
+    """Return the width, in characters, of a table without lines between the cells."""
     widths = _widths(columns, _cells(rows))
     return sum(widths) + _GAP * (len(widths) - 1)
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, lines: bool = True) -> None:
-    """Print a table; if the table is too wide, wrap its widest columns, or print each row as a block of lines.
+    """Print a table; if the table is too wide for the terminal, wrap wide columns or print each row as several lines.
 
-    In a block of lines, the first ``heads`` cells of the row form the heading. If ``lines`` is true, a terminal shows
-    lines between the cells of the table.
+    If a row is printed as several lines, the first ``heads`` cells of the row form the heading. If ``lines`` is true, a
+    table in a terminal has lines between the cells.
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
@@ -190,7 +190,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
     """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines."""
-    # Narrow the columns with long titles first, and then the widest columns.
+    # Narrow the table columns with long titles first, and then the widest columns.
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]
     below_titles = [max([pieces[i], *(len(row[i]) for row in rows[1:])]) for i in columns]

@@ -1,4 +1,4 @@
-"""Find all mistakes in a config at once, without a simulation.
+"""Find all mistakes in a config at one time, without a simulation.
 
 | module | contents |
 |---|---|

@@ -18,7 +18,7 @@ from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
-# rsl_rl imports the dotted name in the value of each of these keys, and calls the imported object.
+# The config keys whose values are dotted names of objects that rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
 # The rsl_rl parameters whose value is a name, and the function of rsl_rl.utils that looks up the name.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
@@ -28,7 +28,7 @@ _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
 def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
-    """Return the mistakes in the ``agent`` section; ``groups`` are the names of the observation groups."""
+    """Return the mistakes in the config section ``agent``; ``groups`` contains the names of the observation groups."""
     from wheelleg_exp.rl import mirror_rules
 
     if not isinstance(agent, Mapping):
@@ -65,7 +65,7 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
 
 
 def _check_class_name(path: str, name: Any) -> list[ConfigError]:
-    # A class of a package that is not allowed is rejected without an import, because an import runs code.
+    # Reject a class of a forbidden package without importing the class, because an import runs code.
     packages = class_packages()
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
@@ -85,7 +85,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         names = [known for module in modules for known in dir(module) if not known.startswith("_")]
         nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # Check the module that defines the object, because an allowed module can import any function.
+    # Check the module that defines the named object, because an allowed module can import foreign functions.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if defined_there else [refused]
 
@@ -97,7 +97,7 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
         return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # The function _check_class_name reports the unknown class.
+        return []  # The function _check_class_name reports an unknown class.
     errors = _check_parameters(path, node, found)
     # rsl_rl accepts an actor without a distribution, but cannot train such an actor.
     is_actor = path in ("agent.actor", "agent.student")
@@ -157,7 +157,7 @@ def _takes_any(found: Any) -> bool:
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the valid activations or optimisers from rsl_rl's error message; None if rsl_rl accepts ``value``."""
+    """Return the activations or optimisers that rsl_rl lists in the error for ``value``; None if there is no error."""
     import rsl_rl.utils
 
     try:

@@ -23,11 +23,11 @@ _OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
 
 @dataclass(frozen=True)
 class MountedFile:
-    """A config file whose content Hydra puts at one key of the config tree.
+    """A config file, and the key of the config tree at which Hydra puts the file's content.
 
-    ``config_path`` is Hydra's name of the file, such as ``reward/alive``. ``package`` is the key below which Hydra puts
-    the content of the file; an empty key means the top of the tree. ``parent`` is the config whose defaults list
-    selects the file.
+    ``config_path`` is the name that Hydra gives to the config file, such as ``reward/alive``. ``package`` is the key
+    below which Hydra puts the file's content; an empty key means the top of the config tree. ``parent`` is the config
+    file whose defaults list selects this file.
     """
 
     config_path: str
@@ -38,17 +38,17 @@ class MountedFile:
 
     @property
     def group(self) -> str:
-        """The config group of the file, such as ``reward``."""
+        """The config group of the config file, such as ``reward``."""
         return self.config_path.rpartition("/")[0]
 
     @property
     def name(self) -> str:
-        """The option of the group, such as ``alive``."""
+        """The option of the config group that the file defines, such as ``alive``."""
         return self.config_path.rpartition("/")[2]
 
 
 def mounted_files(composed: Composed) -> list[MountedFile]:
-    """Return every file of a composed config, in the order in which Hydra merged the files."""
+    """Return every config file of a composed config, in the order in which Hydra merged the files."""
     loaded = composed.loader.repository_used.loaded
     found = []
     for default in composed.loader.merged:
@@ -60,7 +60,7 @@ def mounted_files(composed: Composed) -> list[MountedFile]:
 
 
 def mount_place(composed: Composed, mounted: MountedFile) -> str:
-    """Return the override, or the file and line, that puts a config file at its package."""
+    """Return the override, or the file and line, that selects a config file and the key of the file's content."""
     for override in reversed(composed.parsed):
         value = override.value()
         names = value if isinstance(value, list) else [value]
@@ -72,7 +72,7 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
 
 
 def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find files without a package line, whose content is therefore at a wrong key."""
+    """Find config files whose content is at a wrong key, because they lack a ``# @package`` line."""
     # A config file needs no `# @package` line if a defaults list mounts the file with `group@package`.
     misplaced = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
     found = missing_headers(composed.loader.repository_used, ())
@@ -80,13 +80,13 @@ def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[Conf
 
 
 def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term files that do not contain a term with the name of the file."""
+    """Find config files of terms that do not contain a term with the file's own name."""
     wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
 def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term files whose composed term has no target."""
+    """Find config files of terms whose term has no target after Hydra has composed the config."""
     errors = []
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -99,12 +99,12 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
                 where = show_file(file.file, lines.get((file.name,), 1))
                 errors.append(ConfigError(message, key=key, where=where, expected=expected))
             except ConfigError:
-                continue  # The module check_terms reports a misspelled _target_.
+                continue  # The module check_terms reports a misspelled ``_target_``.
     return errors
 
 
 def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find terms that are directly in an observation group, instead of in the ``terms`` of the group."""
+    """Find terms that are directly in an observation group, instead of below the group's key ``terms``."""
     terms = [file for file in files if TARGET in section_at(file.content, (file.name,))]
     astray = [file for file in terms if _OBSERVATION_GROUP.fullmatch(file.package)]
     return [
@@ -141,7 +141,7 @@ def _term_file_error(file: MountedFile) -> ConfigError:
 
 
 def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
-    """Return the config without the settings that wrong term files put directly into a section of terms."""
+    """Return the config without the settings that faulty files of terms put directly into a section of terms."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
         section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
@@ -152,9 +152,9 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """If no code reads a key because a file was mounted at a wrong key, name the mount in the error.
+    """If no code reads a key because a file was mounted at a wrong place, change the error to name the mount.
 
-    The result contains no errors for settings of the terms in wrongly mounted files.
+    The returned errors include none for settings of terms in wrongly mounted files.
     """
     astray: set[str] = set()
     for error in errors:
@@ -171,7 +171,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the files that are mounted at a key that no code reads, unless another file or override sets a subkey."""
+    """Return the config files at a key that no code reads, unless an override or a second file sets a subkey."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
@@ -191,10 +191,10 @@ def emptied_by(composed: Composed, key: str) -> str | None:
 
 
 def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
-    """Find terms that a defaults list contains twice, or that a config and its parent both list.
+    """Find terms that a defaults list contains twice, or that both a config and the config's parent list.
 
-    The second mount of the term's file would overwrite the parent's settings for the term. A term that null has removed
-    can be listed again.
+    A second mount of a term's file would overwrite the parent config's settings for the term. A term that the value
+    null has removed can be listed a second time.
     """
     seen: dict[tuple[str, str], int] = {}
     errors = []
@@ -222,7 +222,7 @@ def _sets_null(file: MountedFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find values of a file that files of its defaults list overwrite, because ``_self_`` is not the list's last entry.
+    """Find a file's values that its defaults list overwrites, because ``_self_`` is not the last entry of this list.
 
     The primary config is skipped.
     """
@@ -242,10 +242,9 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term lists whose order differs from the order of the composed terms.
+    """Find defaults lists whose order of terms differs from the order of the terms in the composed config.
 
-    The order of terms changes if a file sets a parameter of a term before the term's file is mounted, because the
-    parameter creates the term's key.
+    A file that sets a parameter of a term before the term's own file is mounted changes the order of terms.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:
@@ -271,7 +270,7 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return an error for each Hydra setting that has no effect in a config file other than the primary config."""
+    """Return an error for each setting of Hydra in a config file that Hydra reads only from the primary config."""
     errors = []
     for mounted in files:
         if mounted.config_path == primary:

@@ -1,4 +1,4 @@
-"""Check the names of joints, bodies, and sensors in a config against the robot and the scene."""
+"""Check whether the joints, bodies, and sensors that a config names exist in the robot and the scene."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ ASSET_KEY = "env.robot.asset"
 
 @dataclass(frozen=True)
 class RobotNames:
-    """The names of a robot's joints and bodies, breadth first, which is the robot's default order."""
+    """The names of a robot's joints and bodies, breadth first, which is the default order of the names."""
 
     joints: list[str]
     bodies: list[str]
 
 
 def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
-    """Return the MJCF path of the robot in the ``env`` section; convert the robot if the cache lacks the MJCF.
+    """Return the MJCF path of the robot in the config section ``env``; convert the robot if the cache lacks the MJCF.
 
-    A missing file, or a file without a robot, raises ConfigError.
+    A missing robot file, or a file without a robot, raises ConfigError.
     """
     from wheelleg_exp.asset import convert_cached
     from wheelleg_exp.asset.conversion_cache import find_beside
@@ -49,7 +49,7 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
 
 
 def read_names(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotNames:
-    """Return the names of the joints and bodies of the robot in the ``env`` section."""
+    """Return the names of the joints and bodies of the robot in the config section ``env``."""
     return names_in_mjcf(converted(env, asset_roots))
 
 
@@ -81,14 +81,14 @@ _BY_JOINT = {
 
 @dataclass(frozen=True)
 class Members:
-    """The joint names and body names of each entity of the scene, in the order of the model; None if unknown."""
+    """The joint and body names of each entity of the scene, in the order of the simulation model; None if unknown."""
 
     joints: dict[str, list[str]]
     bodies: dict[str, list[str] | None]
 
 
 def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigError]:
-    """Return the mistakes in all joint and body expressions of a config, and the unknown entities of the scene."""
+    """Return the mistakes in a config's joint and body expressions, including references to unknown scene entities."""
     robot, sensors = config["env"]["robot"], config["env"]["scene"].get("sensors")
     order = robot.get("joint_order")
     errors = order_errors(order, names.joints) if isinstance(order, list) else []
@@ -102,7 +102,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
         if node is None:
             continue
         own = node if isinstance(node, Mapping) else {}
-        # Some sensors are mounted on one body. Other sensors observe several bodies.
+        # Some sensors are mounted on one robot body; the remaining sensors observe several bodies.
         word = "body_name" if "body_name" in own else "body_names"
         listed, key = own.get(word), f"env.scene.sensors.{name}.{word}"
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
@@ -117,7 +117,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
 
 
 def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tuple[list[str], list[ConfigError]]:
-    """Return the names that the expressions match, in the order of ``names``, and the mistakes in the expressions."""
+    """Return those of ``names`` that regular expressions match, in order, and the mistakes in the expressions."""
     listed = [expressions] if isinstance(expressions, str) else list(expressions)
     if not all(isinstance(expression, str) for expression in listed):
         return [], []  # The check of types reports an expression that is not a string.
@@ -150,7 +150,7 @@ def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
 
 
 def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Find joint targets that two action terms set, because only the later one of the two terms has an effect."""
+    """Find joints for which two action terms set targets, because only the later one of both terms has an effect."""
     from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
 
     claims = []
@@ -169,7 +169,7 @@ def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # An actuator's expression is wrong. _actuators reports the expression.
+        return []  # The function _actuators reports a wrong expression.
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):
@@ -191,7 +191,7 @@ def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) 
 
 
 def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[ConfigError]:
-    """Return the mistakes in a mapping from joint expressions to values, with the key of each expression."""
+    """Return the mistakes in a mapping from joint expressions to values, each with the key of the wrong expression."""
     keys = split_path(path)
     errors = [e for name in values for e in _match_error([str(name)], joints, dotted((*keys, str(name))), "joint")]
     return errors or _match_error([str(name) for name in values], joints, path, "joint")
@@ -237,7 +237,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # An expression of the sensor is wrong, and check_robot reports the expression.
+            continue  # The function check_robot reports a sensor's wrong expression.
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":

@@ -1,7 +1,7 @@
-"""Check the terms and the references between sections of the config.
+"""Check the terms of a config, and the references from one config section to another section.
 
-A term must be selected, the term's target must exist and be allowed, and all parameters must have valid values. The
-command, action term, reward, or observation group that a parameter names must exist.
+The config must select each term, whose target must exist and be allowed, and whose parameters must be valid. The
+command, action term, reward, or observation group that a term's parameter names must exist.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# The base class of the terms of each section, and the first arguments that the managers pass to functions.
+# For each section, the base class of terms, and the first arguments that the manager passes to a term function.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield the section, the config path, and the node of every term in the config."""
+    """Yield the config section, the config path, and the config node of every term in the config."""
     for section in binding.RESERVED:
         nodes = section_at(config, f"env.{section}")
         if section == "observations":
@@ -65,7 +65,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
-    # Report the mistakes in a term's parameters only if the term's target is valid in this section.
+    # Report the mistakes in a term's parameters only if the term's target is valid in the term's section.
     wrong = _section_errors(section, term) or _kind_errors(section, term, target)
     return errors + (wrong or parameter_errors(section, term, target))
 
@@ -97,7 +97,7 @@ def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., Any
 
 
 def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Reject a stock term of another section, because the manager of this section would misread its return value."""
+    """Reject a stock term of a different section, because this section's manager would misread its return value."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
     if belongs is None or belongs == section:
@@ -112,7 +112,7 @@ def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
-    """Import an allowed target. For a misspelled module, the error names the most similar module."""
+    """Import an allowed target. For a target with a misspelled module, the error names the most similar module."""
     try:
         return binding.resolve_target(target, path)
     except ConfigError as error:
@@ -123,7 +123,7 @@ def import_target(target: str, path: str) -> Callable[..., Any]:
 
 
 def _nearest_target(target: str) -> str | None:
-    """Return the target with its first unknown module replaced by the most similar one; None if no name is similar."""
+    """Return a target with its first unknown module replaced by the most similar module; None without a similar one."""
     parts = target.split(".")
     for n in range(1, len(parts) - 1):
         try:
@@ -153,7 +153,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in term parameters that name a term of another section."""
+    """Return the mistakes in term parameters that name a term of a different section, such as ``command_name``."""
     errors: list[ConfigError] = []
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
@@ -172,15 +172,15 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Find observation groups that no network reads, and observation groups without terms."""
+    """Find observation groups that no neural network reads, and observation groups without terms."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # check_agent reports a misspelled observation group.
+        return []  # The function check_agent reports a misspelled observation group.
     if at(config, "agent.teacher") is not None:
-        used |= set(groups)  # The task of a student also has the groups of the teacher's critic.
+        used |= set(groups)  # A student's task also contains the observation groups of the teacher's critic.
     unused = [
         ConfigError(
             f"no network reads the observation group '{name}'",
@@ -199,7 +199,7 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
-    """Return the mistake in ``recording.env_ids`` if an id is repeated or not in 0 to ``count`` - 1."""
+    """Return the mistake in ``recording.env_ids`` if an id is repeated, or is outside 0 to ``count`` - 1."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
     if count < 1:
@@ -217,7 +217,7 @@ def require_recorded(config: Mapping[str, Any]) -> None:
 
 
 def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Find cameras that would render more environments than a camera's limit allows."""
+    """Find cameras that would render more environments than the limit for one camera."""
     count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
     limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
     found = (
@@ -229,7 +229,7 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistake in ``run.root`` if this path cannot be a folder."""
+    """Return the mistake in the config key ``run.root`` if this path cannot be a folder."""
     root = at(config, "run.root")
     if not isinstance(root, str):
         return []

@@ -1,7 +1,7 @@
 """Find every mistake in a config without a simulation, and report all of them at once.
 
-``check`` returns the mistakes of a composed config. ``find_mistakes`` composes a config first. If Hydra stops at a
-broken file, ``find_mistakes`` treats the file as empty and composes again, so that it finds the remaining mistakes too.
+``check`` returns the mistakes of a composed config. ``find_mistakes`` composes a config first. If a broken file stops
+Hydra, ``find_mistakes`` treats the broken file as empty, so that it finds the remaining mistakes too.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 
 @dataclass
 class Leniency:
-    """The mistakes that the tolerant loader ignores.
+    """The mistakes that a ``TolerantLoader`` ignores while it composes a config.
 
-    ``empty`` contains config paths that are treated as empty files, ``unused`` the ``group@package`` of ignored
-    overrides in defaults lists, and ``failed`` the config path that failed to load last.
+    ``empty`` contains config paths that are treated as empty files; ``unused`` contains the ``group@package`` of
+    ignored overrides in defaults lists; ``failed`` is the config path that failed to load last.
     """
 
     empty: set[str] = field(default_factory=set)
@@ -65,7 +65,7 @@ class _TolerantRepository(Repository):
             self._leniency.failed = config_path
             raise
         if result is not None and result.defaults_list:
-            # The name of a group without a leading slash is relative to the folder of the file.
+            # The name of a config group without a leading slash is relative to the folder of the config file.
             parent = config_path.rpartition("/")[0]
             result.defaults_list = [d for d in result.defaults_list if not self._is_unused(d, parent)]
         return result
@@ -79,7 +79,7 @@ class _TolerantRepository(Repository):
 
 
 class TolerantLoader(Loader):
-    """A Hydra loader that ignores the files and overrides of a ``Leniency``."""
+    """A Hydra loader that ignores the config files and overrides that a ``Leniency`` lists."""
 
     def __init__(self, config_dirs: Sequence[Path], leniency: Leniency) -> None:
         super().__init__(config_dirs)
@@ -89,7 +89,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Reuse the repository of the parent's method, because its search path is complete.
+        # Reuse the Hydra repository that the parent class creates, because its search path is complete.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -98,8 +98,8 @@ def check(composed: Composed) -> list[ConfigError]:
     """Return every mistake in a composed config that can be found without a simulation.
 
     The checks cover keys, types, ranges, targets, parameters, unselected terms, the classes and observation groups of
-    the agent, names of joints and bodies, and the config files. Each error contains the file and line, or the override,
-    of the value.
+    the agent, names of joints and bodies, and the config files. Each returned error contains the file and line, or the
+    override, of the wrong value.
     """
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
@@ -122,14 +122,14 @@ def check(composed: Composed) -> list[ConfigError]:
         + _check_robot(config, composed.asset_roots)
     )
     errors += [error for error in found if not follows_from(error, hidden)]
-    # Add the file and line, or the override, to each error, and remove repeated errors.
+    # Add the file and line, or the override, of the wrong value to each config error, and remove repeated errors.
     errors = lists.blame_mounts(_first_causes(errors), composed, files)
     seen: dict[tuple[str | None, ...], ConfigError] = {}
     for error in errors:
         if error.where is None and error.key is not None:
             emptied = lists.emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
             error.where = emptied or composed.provenance.where(error.key)
-        # If a whole section of the config is missing, no line sets the key, so the error names the task's file instead.
+        # The error for a missing config section names the task's file, because no line sets the section.
         if error.where is None and isinstance(error, MissingValue):
             error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
         place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
@@ -138,10 +138,10 @@ def check(composed: Composed) -> list[ConfigError]:
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
-    """Remove errors that are only consequences of a key that no code reads.
+    """Remove errors that are only consequences of errors about keys that no code reads.
 
-    The function removes errors below a key that no code reads. It also removes the error for a missing key if the key
-    that no code reads is a misspelling of the missing key. A target that is not allowed is always reported.
+    The function removes errors below a key that no code reads. The function also removes the error for a missing key if
+    a misspelling of the missing key exists. The errors for targets that are not allowed are never removed.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -155,7 +155,7 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 
 
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
-    """Return whether an error can be a consequence of keys whose content is unknown.
+    """Return whether an error can be a consequence of ``lost``, the config keys whose content is unknown.
 
     A name in ``lost`` that starts with a dot is a key suffix, which matches at any place in the config. An empty name
     in ``lost`` means every key of the config.
@@ -170,7 +170,7 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
-    """Return whether a key is equal to or below one of ``places``. A place with a leading dot matches at any depth."""
+    """Return whether a config key is at or below one of ``places``; a place with a leading dot matches at any depth."""
     return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
@@ -196,7 +196,7 @@ class _Asset:
 
 
 def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
-    """Return every mistake in a config tree, without files and lines. ``root`` is the dataclass of the top level."""
+    """Return every mistake in a config tree, without file and line; ``root`` is the top level's dataclass."""
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
         options = schema.options_of(path)
@@ -253,7 +253,7 @@ class _Search:
     primary: str
     folders: tuple[Path, ...]
     found: list[ConfigError] = field(default_factory=list)
-    # The config keys whose content is unknown, because the broken file that sets the keys is ignored.
+    # The config keys whose content is unknown, because the broken file that sets these keys is ignored.
     lost: list[str] = field(default_factory=list)
     leniency: Leniency = field(default_factory=Leniency)
     loader: TolerantLoader | None = None
@@ -274,14 +274,14 @@ class _Search:
         return self.loader
 
     def _take_out(self, error: ConfigError) -> bool:
-        """Remove the override, file, or value that caused an error. Return False if the cause is unknown."""
+        """Remove the override, file, or value that caused an error; return False if the cause is unknown."""
         blamed = {override_of(part) for part in parts(error)} - {None}
         kept = [text for text in self.overrides if text not in blamed]
         if len(kept) < len(self.overrides):
             self.overrides = kept
             return True
         if blamed:
-            return False  # The error concerns several command-line arguments, which do not form one override.
+            return False  # The error is about several words that do not form one override.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
@@ -295,12 +295,12 @@ class _Search:
             return False
         self.leniency.empty.add(path)
         self.lost += self._places(path)
-        if error.nearest:  # Settings for the correctly spelled config group option are not mistakes.
+        if error.nearest:  # Settings of the correctly spelled option are no mistakes.
             self.lost.append(f".{error.nearest}")
         return True
 
     def _places(self, path: str) -> list[str]:
-        """Return the keys that a dropped config file would have set. The key "" means every key."""
+        """Return the keys that a dropped config file would have set. The returned key "" means every config key."""
         group, _, name = path.rpartition("/")
         if self.loader is None:
             return [""]
@@ -329,10 +329,10 @@ class _Search:
 def find_mistakes(
     overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()
 ) -> tuple[Composed | None, list[ConfigError]]:
-    """Compose and check a config. Return the config and all mistakes; the config is None if Hydra cannot compose it.
+    """Compose and check a config, and return the config (None if Hydra cannot compose it) and all mistakes.
 
-    If a wrong override or a broken file stops Hydra, the function drops the override or file and checks the remaining
-    config. The result contains no mistakes that are only consequences of the dropped override or file.
+    An override or file that stops Hydra is dropped, and the remaining config is checked. The returned mistakes include
+    no consequences of a dropped override or file.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()
@@ -343,7 +343,7 @@ def find_mistakes(
 
 
 def compose_valid(overrides: Sequence[str] = (), *, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose a config, check the config, and return it. Raise one ConfigError for all mistakes."""
+    """Compose a config, check the config, and return the config. One ConfigError lists all mistakes in the config."""
     composed, mistakes = find_mistakes(overrides, config_dirs=config_dirs)
     if mistakes:
         raise_all(mistakes)

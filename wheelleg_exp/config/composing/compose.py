@@ -1,7 +1,7 @@
 """Compose a config from files and overrides, and apply overrides to a recorded config.
 
-The source of each leaf is known: a file and line, or an override. Some of Hydra's own settings have no effect in this
-program, and an override of such a setting is an error.
+The source of each leaf is known: a file and line, or an override. An override of one of Hydra's own settings that have
+no effect in this program is an error.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _ANY_SETTING = "a key of the config; of Hydra's settings, only hydra.searchpath 
 
 
 def is_unread(key: str) -> bool:
-    """Return whether a key, group, or override is one of Hydra's own settings, which this program ignores."""
+    """Return whether a config key, group, or override is one of Hydra's own settings, which this program ignores."""
     found = _KEY.match(key)
     return found is not None and not _READ.match(found[1])
 
@@ -82,8 +82,8 @@ class Composed:
     """A composed config.
 
     ``config`` is the resolved tree of plain mappings, without the terms that are null. ``raw`` is the read-only
-    OmegaConf tree with ``${...}`` unresolved and with null terms. ``removed_terms`` contains the paths of the null
-    terms. ``hydra`` is Hydra's own node of the tree.
+    OmegaConf tree with unresolved ``${...}`` and with the terms that are null. ``removed_terms`` contains the config
+    paths of the terms that are null. ``hydra`` is the node of the config tree with Hydra's own settings.
     """
 
     config: dict[str, Any]
@@ -98,12 +98,12 @@ class Composed:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """The source of each leaf. The sources of all config values, computed on first use."""
+        """The source of each leaf. The sources (files and overrides) of all config values, computed on first use."""
         return trace(self.loader, self.primary, self.parsed)
 
     @cached_property
     def mounts(self) -> list[Mount]:
-        """The config groups in use, except Hydra's own config groups. The groups are computed on first use."""
+        """The config groups in use, except Hydra's own config groups, computed on first access."""
         return find_mounts(self.loader, self.parsed)
 
     @cached_property
@@ -114,7 +114,7 @@ class Composed:
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Add the file and line, or the override, of the key to each error that the block raises."""
+        """Add the file and line, or the override, of the wrong key to each error that the ``with`` block raises."""
         try:
             yield
         except Mistakes as error:
@@ -126,14 +126,14 @@ class Composed:
             raise
 
     def _place(self, error: WheellegError) -> None:
-        # A section of the config has no single file and line, because several files set its keys.
+        # A config section has no single file and line, because several files set the section's keys.
         is_section = isinstance(self.config.get(error.key or ""), Mapping)
         if error.where is None and error.key is not None and not is_section:
             error.where = self.provenance.where(error.key)
 
     @property
     def files(self) -> list[Path]:
-        """The config files from which the config was composed."""
+        """The paths of the config files from which Hydra composed the config."""
         return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
@@ -158,11 +158,11 @@ def compose(
     loader: Callable[[Sequence[Path]], Loader] = Loader,
     launching: bool = False,
 ) -> Composed:
-    """Compose the primary config with overrides, as Hydra does.
+    """Compose the primary config file with overrides, as Hydra does.
 
-    A mistake in a file, an override, or an interpolation raises ConfigError. ``config_dirs`` are the user's config
-    folders. ``loader`` creates the Hydra loader for these folders. With ``launching``, overrides can contain settings
-    of a sweep's launcher.
+    A mistake in a config file, an override, or an interpolation raises ConfigError. ``config_dirs`` are the user's
+    config folders. ``loader`` creates the Hydra loader for the config folders. If ``launching`` is true, overrides can
+    contain settings of the launcher that starts a sweep's jobs.
     """
     texts = override_texts(overrides)
     unread = [] if launching else _unread_overrides(texts)
@@ -187,12 +187,12 @@ def compose(
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
-    """Return overrides as a list. If ``overrides`` is a single string, the string is treated as one override."""
+    """Return overrides as a list. A single string ``overrides`` is treated as one override."""
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
 def _resolve(raw: DictConfig, provenance: Callable[[], Provenance]) -> dict[str, Any]:
-    """Return the resolved tree. Raise one ConfigError for all missing values and invalid interpolations."""
+    """Return the resolved tree. Raise one ConfigError that lists all missing values and invalid interpolations."""
     try:
         resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
@@ -244,8 +244,8 @@ _ANOTHER_VALUE = "another value"
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    The overrides cannot select config groups, because no config file is read. Null terms are removed. An override of a
-    missing key or of one of Hydra's own settings raises ConfigError.
+    The overrides cannot select options of config groups, because no config file is read. Null terms are removed. An
+    override of a missing key or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
@@ -261,7 +261,7 @@ def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
             del parent[keys[-1]]
         else:
             parent[keys[-1]] = override.value()
-    if overrides:  # If there are no overrides, return the recorded tree unchanged.
+    if overrides:  # Without overrides, return the recorded config tree unchanged.
         drop_removed(changed)
     return changed
 
@@ -272,11 +272,11 @@ def require_read(
     read: Callable[[Mapping[str, Any]], Any],
     instead: Mapping[str, str],
 ) -> None:
-    """Raise ConfigError if overrides have no effect on the result of ``read(tree)``.
+    """Raise ConfigError if an override of a config tree has no effect on the result of ``read(tree)``.
 
-    An override has an effect if its value, or any other value of its key, changes the result of ``read(tree)``.
-    Therefore an override that repeats the recorded value is accepted. ``instead`` maps a key to the advice in the error
-    for all keys below this key; the key ``""`` matches all other keys.
+    An override has an effect if a changed value at the override's key changes the result of ``read(tree)``. An override
+    that repeats the recorded value is accepted. ``instead`` maps a key to the advice for overrides below this key; the
+    key ``""`` stands for all remaining keys.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -300,7 +300,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Add the override that set the key to each ConfigError from the block that has no file and line."""
+    """Add the override of the wrong key to each ConfigError from the ``with`` block that has no file and line."""
     try:
         yield
     except ConfigError as error:

@@ -1,7 +1,7 @@
 """Compose a sweep: Hydra expands one command line into several jobs, and every job is checked.
 
-The module also lists the Hydra launchers that can run the jobs of a sweep. A launcher starts the jobs: one by one, in
-parallel processes, or in a queue.
+The module ``compose_sweep`` lists the Hydra launchers that can run the jobs of a sweep. A launcher starts the jobs: one
+by one, in parallel processes, or in a queue.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _RayLauncher:
 
 
 def _install_command(launcher: str) -> str | None:
-    """Return the command that installs the packages of a launcher; None if the packages are installed."""
+    """Return the command that installs the Python packages of a Hydra launcher; None if they are installed."""
     extra, modules = _NEEDS.get(launcher, ("", ()))
     return None if all(map(_is_installed, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
 
@@ -67,7 +67,7 @@ def _is_installed(module: str) -> bool:
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m adds this override of hydra.mode.
+_MULTIRUN = "hydra.mode=MULTIRUN"  # The override that Hydra's option -m adds.
 
 Progress = Callable[[int, int], None]
 
@@ -76,8 +76,8 @@ Progress = Callable[[int, int], None]
 class SweepJob:
     """One job of a sweep.
 
-    ``overrides`` contains the overrides with which ``wheelleg train`` runs only this job; ``swept`` contains only the
-    overrides that differ between jobs. ``digest`` is the SHA-256 of the composed config.
+    ``overrides`` contains all overrides of this sweep job for ``wheelleg train``; ``swept`` contains only the overrides
+    that differ between the jobs. ``digest`` is the SHA-256 of the sweep job's composed config.
     """
 
     overrides: tuple[str, ...]
@@ -88,11 +88,11 @@ class SweepJob:
 
 @dataclass(frozen=True)
 class Sweep:
-    """The jobs of a sweep, in Hydra's order, and their launcher.
+    """The jobs of a sweep, in Hydra's order, and the Hydra launcher that starts the jobs.
 
     ``n_jobs`` is the number of jobs that run at once, as joblib counts: -1 means one job per core, -2 one job less. For
-    a queue, ``n_jobs`` is the number of submitted jobs. ``multirun`` is the config that Hydra composes for the
-    multirun.
+    a job queue, ``n_jobs`` is the number of submitted jobs. ``multirun`` is the config that Hydra composes for the
+    sweep as a whole.
     """
 
     jobs: tuple[SweepJob, ...]
@@ -101,7 +101,7 @@ class Sweep:
     multirun: DictConfig = field(repr=False)
 
     def settings(self, folder: Path) -> dict[str, Any]:
-        """Return the launcher's settings as a plain mapping; ``folder`` is the folder of the sweep."""
+        """Return the settings of a sweep's launcher as a plain mapping; ``folder`` is the folder of the sweep."""
         config = self.multirun.copy()
         with open_dict(config):
             config.hydra.sweep.dir = str(folder)
@@ -114,13 +114,13 @@ class Sweep:
 def compose_sweep(
     overrides: Sequence[str], *, config_dirs: Sequence[Path] = (), progress: Progress | None = None
 ) -> Sweep:
-    """Expand the overrides like Hydra's basic sweeper, and compose and check every job.
+    """Expand the overrides into jobs like Hydra's basic sweeper, and compose and check the config of every job.
 
-    All mistakes of all jobs raise one ConfigError, which lists each mistake once. The function calls ``progress`` with
-    the number of checked jobs and the number of all jobs.
+    One ConfigError lists the mistakes of all sweep jobs, each mistake once. ``progress`` is called with the number of
+    checked jobs and the number of all jobs.
     """
     folders = tuple(config_folder(folder) for folder in config_dirs)
-    # Register the settings of hydra-ray-launcher in Hydra, if the package is not installed.
+    # Register the settings of hydra-ray-launcher in Hydra if this package is not installed.
     if not _is_installed("hydra_plugins.hydra_ray_launcher"):
         ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
     with hydra_globals():
@@ -191,7 +191,7 @@ def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
 
 
 def _refuse_repeated(parsed: Sequence[Override], groups: Collection[str]) -> dict[str, ConfigError]:
-    """Reject repeated keys, because Hydra's sweeper ignores all overrides of a key but the last.
+    """Reject keys with several overrides, because Hydra's sweeper would ignore all overrides of a key but the last.
 
     Several overrides that only replace one value are accepted: the last one counts, as in a single run.
     """
@@ -217,11 +217,11 @@ def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig 
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # If the multirun does not compose, the mistakes of the separate jobs explain the reason.
+        return None  # If Hydra cannot compose the sweep, the mistakes of the jobs explain the reason.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:
-    """Compose Hydra's multirun config without the jobs' overrides, which can name keys of the swept tasks."""
+    """Compose Hydra's config of a sweep without the jobs' overrides, which can name keys of the swept tasks."""
     texts = [*(str(override.input_line) for override in own), _MULTIRUN]
     with hydra_globals():
         multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
@@ -260,7 +260,7 @@ def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
 
 
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:
-    """Return the overrides of each job of a sweep. An override with a single value is returned as typed."""
+    """Return the overrides of each job of a sweep; an override with a single value is returned as typed."""
     fixed = [override for override in parsed if not override.is_sweep_override()]
     typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
     (jobs,) = BasicSweeper.split_arguments(list(parsed), None)
@@ -291,7 +291,7 @@ def _swept(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> tuple[str
 
 
 def _in_job(error: ConfigError, indices: Sequence[int], jobs: Sequence[Sequence[str]]) -> ConfigError:
-    """If only some jobs have a mistake, add a job's overrides to its error, unless an override caused the mistake."""
+    """For a mistake in only some sweep jobs, add the job's overrides to the error, unless an override is the cause."""
     swept = _swept(jobs[indices[0]], jobs)
     if len(indices) == len(jobs) or override_of(error) in swept:
         return error

@@ -1,7 +1,7 @@
 """Load config files with Hydra's loader, without global Hydra state, and record every file that was read.
 
-If several config folders contain a file of one name, a ``# @replaces`` line must mark the file that replaces the other
-file. If most files of a group have a ``# @package`` line, every file of the group must have one.
+If two config folders contain files of one name, a ``# @replaces`` line must mark the file that replaces the file in the
+second folder. If most files of a group have a ``# @package`` line, every file of the group must have one.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _lines_of(file: Path) -> list[str]:
 
 
 def replaced_by(file: Path) -> tuple[str, int] | None:
-    """Return the config in a file's ``# @replaces`` line, and the line's number; None without such a line."""
+    """Return the config name in a file's ``# @replaces`` line, and the number of this line; None without this line."""
     for number, line in enumerate(_lines_of(file), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             return None
@@ -65,8 +65,8 @@ def replaced_by(file: Path) -> tuple[str, int] | None:
 def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
     """Return the file to read for a config such as ``reward/alive``, if several folders contain a file of that name.
 
-    The function returns the file with a ``# @replaces`` line. Raise ConfigError if a file would never be read, if
-    several files replace one file, or if the replaced file is missing.
+    The returned file has a ``# @replaces`` line. Raise ConfigError if a file would never be read, if two files replace
+    one file, or if the replaced file is missing.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -97,7 +97,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# The exceptions that Hydra and OmegaConf raise for an invalid config. Values that do not merge raise the last three.
+# The exceptions of Hydra and OmegaConf for an invalid config; values that do not merge raise the last three.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -106,7 +106,7 @@ _MEANT = re.compile(r"^\s*#+\s*@\s*package[ :]+(\S+)\s*$", re.MULTILINE | re.IGN
 
 @contextmanager
 def hydra_globals() -> Iterator[None]:
-    """Set Hydra's global state (version base and job name) inside the block, and restore the previous state."""
+    """Set Hydra's global state (version base and job name) inside the ``with`` block; then restore the old state."""
     kinds = (version.VersionBase, JobRuntime)
     before = {kind: Singleton._instances.pop(kind, None) for kind in kinds}
     try:
@@ -139,7 +139,7 @@ class Repository(CachingConfigRepository):
         self._seen: set[str] = set()
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load one config. If a config file is invalid, the loader raises a ConfigError with the file and line."""
+        """Load one config. For an invalid config file, the loader raises a ConfigError with the file and line."""
         if config_path not in self._seen:
             self._seen.add(config_path)
             if self._is_file(config_path):
@@ -156,13 +156,13 @@ class Repository(CachingConfigRepository):
                         "this package line of the file has no effect", key=key, where=where, expected=expected
                     )
                 content = OmegaConf.to_container(result.config, resolve=False)
-                # Copy the content now, because Hydra changes the config objects while it composes.
+                # Copy each file's content, because Hydra changes the config objects while it composes the config.
                 self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
                 self.cache[f"config_path={config_path}"] = result
         return super().load_config(config_path)
 
     def files(self, config_path: str) -> list[Path]:
-        """Return the files of a config in all config folders. Hydra reads the first one."""
+        """Return the files of a config, such as ``reward/alive``, in all config folders; Hydra reads the first one."""
         name = ConfigSource._normalize_file_name(config_path)
         folders = [Path(s.path) for s in self.get_sources() if s.scheme() == "file"]
         return [folder / name for folder in folders if (folder / name).is_file()]
@@ -221,7 +221,7 @@ def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Pat
 
 
 def _line_of_message(file: Path, message: str) -> int | None:
-    """Return the line that contains a quoted part of an error message; None without exactly one such line."""
+    """Return the line of a file that contains a quoted part of an error message; None unless exactly one line does."""
     lines = _lines_of(file)
     for pair in re.findall(r"'([^']+)'|\"([^\"]+)\"", message):
         hits = [number for number, line in enumerate(lines, 1) if (pair[0] or pair[1]) in line]
@@ -231,7 +231,7 @@ def _line_of_message(file: Path, message: str) -> int | None:
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's config loader. The loader stores its Hydra repository and the files that the last ``load`` merged."""
+    """Hydra's config loader, extended to store the config files that the last call of ``load`` merged."""
 
     repository_used: Repository
     merged: Sequence[ResultDefault]
@@ -240,7 +240,7 @@ class Loader(ConfigLoaderImpl):
         path = create_config_search_path(str(configs_dir()))
         schema = path.get_path().pop()
         for folder in map(config_folder, config_dirs):
-            join_folder(folder)  # The project of the folder declares packages, which configs can name as targets.
+            join_folder(folder)  # Configs can name the packages that the folder's project declares.
             path.append("config-dir", f"file://{folder}")
         path.append(schema.provider, schema.path)
         super().__init__(path)
@@ -264,11 +264,11 @@ class Loader(ConfigLoaderImpl):
         return super()._compose_config_from_defaults_list(defaults, repo)
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:
-        """Compose the primary config with overrides. The composed config also contains the ``hydra`` node."""
+        """Compose the primary config with overrides; the result has a node ``hydra`` with Hydra's own settings."""
         return self.load_configuration(primary, list(overrides), RunMode.RUN, from_shell=False)
 
     def defaults(self, primary: str, parsed: Sequence[Override]) -> DefaultsList:
-        """Return Hydra's resolved defaults list of the last ``load``, which names every file that was read."""
+        """Return Hydra's resolved defaults list of the last ``load``; the list names every file that was read."""
         return create_defaults_list(self.repository_used, primary, list(parsed), prepend_hydra=True, skip_missing=False)
 
     def groups(self) -> list[str]:
@@ -289,39 +289,39 @@ class Loader(ConfigLoaderImpl):
         return self.repository.get_group_options(group, ObjectType.CONFIG)
 
 
-# A task file must have the package ``_global_``, even if its group has no other file to compare with.
+# A task file must have the package ``_global_``, even if it is the only file of the group.
 _ALWAYS = {"task": "_global_"}
 
 
 def package_header(file: Path) -> str | None:
-    """Return the package in the ``# @package`` line at the top of a file; None without such a line."""
+    """Return the package (mount key) in the ``# @package`` line at the top of a file; None without this line."""
     match = _HEADER.match(next((line for line in _lines_of(file) if line.strip()), ""))
     return match.group(1) if match else None
 
 
 def package_meant(file: Path) -> str | None:
-    """Return the package in any ``# @package`` line of a file, even in an ignored line; None without such a line."""
+    """Return the package (mount key) in a file's ``# @package`` line, even if Hydra ignores the line; else None."""
     match = _MEANT.search("\n".join(_lines_of(file)))
     return match.group(1) if match else None
 
 
 def usual_header(repository: Repository, group: str, without: Path | None = None) -> str | None:
-    """Return the package that at least half of a group's files have in their ``# @package`` line; None without one."""
+    """Return the package (mount key) that at least half of a group's files have in a ``# @package`` line; else None."""
     if group in _ALWAYS:
         return _ALWAYS[group]
     folders = [Path(s.path) / group for s in repository.get_sources() if s.scheme() == "file"]
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # Half of the group's files is enough, because the file without a package line also belongs to the group.
+    # Half of a group's files is enough, because the checked file without a package line counts too.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 
 def missing_headers(repository: Repository, explicit: Collection[str]) -> list[ConfigError]:
-    """Find loaded files without the usual package line of their group, or with a misspelled package line.
+    """Find loaded files whose ``# @package`` line is misspelled, or missing although their group usually has one.
 
-    ``explicit`` contains the groups that a defaults list or an override mounts at an explicit package. A file of a
-    group in ``explicit`` needs no package line.
+    ``explicit`` contains the config groups that a defaults list or an override mounts at an explicit key. A config file
+    of a group in ``explicit`` needs no ``# @package`` line.
     """
     misspelled, missing = [], []
     for config_path, loaded in repository.loaded.items():

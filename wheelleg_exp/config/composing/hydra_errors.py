@@ -28,11 +28,11 @@ _IN_FILE = re.compile(r"^In '?([^':]+)'?:")
 
 
 class NowhereMounted(ConfigError):
-    """The error for a defaults list that overrides a group that no file mounts."""
+    """A defaults list overrides a config group that no config file mounts."""
 
 
 def where_of(override: Override) -> str:
-    """Return the text for ``ConfigError.where`` if an override caused the error."""
+    """Return the text for the field ``where`` of a ConfigError that an override caused."""
     return f"override {override.input_line}"
 
 
@@ -92,7 +92,7 @@ def _place_in_defaults(repository: Repository, message: str, path: str) -> str |
 
 
 def place_of_option(repository: Repository, parent: str, path: str) -> str | None:
-    """Return the line of the option ``path`` in a config's defaults list; None if the config was not read."""
+    """Return the line of the option ``path`` in a config's defaults list; None if the config file was not read."""
     loaded = repository.loaded.get(parent)
     return show_file(loaded.file, _defaults_line(loaded.file, path)) if loaded is not None else None
 
@@ -111,7 +111,7 @@ def _defaults_line(file: Path, path: str) -> int | None:
 
 
 def _defaults_entries(file: Path) -> Iterator[tuple[str | None, yaml.Node]]:
-    """Yield the key and the value of each entry of a file's defaults list; the key of a plain entry is None."""
+    """Yield the key and value of each entry of a file's defaults list; the key is None for ``_self_``, for example."""
     for item in lookup.defaults_items(file):
         if isinstance(item, yaml.MappingNode):
             yield from ((str(key.value), value) for key, value in item.value)
@@ -166,7 +166,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # Skip the primary config, because an override can replace its selections. Search the files in the order of loading.
+    # Search the loaded files in order, without the primary config, because overrides can replace its selections.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"
@@ -174,7 +174,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
 
 
 def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntry]]:
-    """Yield the file and the entry for each entry of the defaults lists, without the primary config."""
+    """Yield each entry of the loaded files' defaults lists with its file; skip the primary config."""
     for path, loaded in repository.loaded.items():
         if "/" in path:
             yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))
@@ -196,13 +196,13 @@ _FORMS = "key=value, +key=value, ++key=value or ~key"
 
 
 class DoesNotMerge(ConfigError):
-    """The error for a file that cannot be merged into the earlier files; ``config_path`` is the name of the file."""
+    """A config file, named ``config_path``, cannot be merged into the config files that Hydra merged before."""
 
     config_path: str | None = None
 
 
 def translate(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
-    """Return the ConfigError for an exception of Hydra or OmegaConf.
+    """Convert an exception of Hydra or OmegaConf to a ConfigError.
 
     ``loader`` has composed the config. ``overrides`` contains the overrides as the user typed them.
     """
@@ -242,7 +242,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
     try:
         TopologicalSorter(below).prepare()
     except CycleError as error:
-        # In the cycle of files that graphlib returns, each file selects the previous file.
+        # In a cycle of config files that graphlib returns, each file selects the previous file.
         path, other = error.args[1][1], error.args[1][0]
         file = used.loaded[path].file
         where = show_file(file, lookup.scalar_line(file, other.rpartition("/")[2]))
@@ -316,7 +316,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
-        # Copy the config, because a failed override can replace a null value by an empty mapping.
+        # Copy the config, because a rejected override can replace a null value by an empty mapping.
         before = copy.deepcopy(cfg)
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
@@ -349,7 +349,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
-    # The table KEYS also contains optional keys, which can be missing in all config files.
+    # Optional keys in the table KEYS can be missing in all config files.
     if key in KEYS and not override.is_delete() and lookup.at(shown, split_path(key)[:-1]) is not None:
         expected = "+" + str(override.input_line).lstrip("+")
         return AbsentKey("no file of the task sets this key", key=key, where=where, expected=expected)

@@ -1,7 +1,7 @@
-"""Find the source of each value and of each selected config group of a composed config.
+"""Find the file or override that set each value and selected each config group of a composed config.
 
-The source of a value is a file and line, or an override. A source also lists the earlier sources whose values were
-replaced.
+The source of a config value is a file and line, or an override. A source of a config value lists the value's earlier,
+replaced sources.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ MISSING = "???"
 class Source:
     """The source of one leaf: a line of a file, or an override.
 
-    ``value`` is the raw value, with ``${...}`` unresolved. ``package`` contains the keys below which the file is
-    mounted. ``shadowed`` lists the earlier sources whose values this source replaced, oldest first.
+    ``value`` is the config value with unresolved ``${...}``. ``package`` contains the config keys below which the
+    source's file is mounted. ``shadowed`` lists the replaced earlier sources of the config value, oldest first.
     """
 
     path: str
@@ -40,16 +40,16 @@ class Source:
 
     @property
     def where(self) -> str:
-        """The file and line of the value, or the override that set the value."""
+        """The file and line of a config value, or the override that set the value."""
         if self.override is not None:
             return f"override {self.override}"
         return show_file(self.file, self.line) if self.file is not None else "unknown"
 
 
 class Provenance(Mapping[str, Source]):
-    """The last source of each value of a config, by dotted path.
+    """The last source (file and line, or override) of each value of a config, by dotted path.
 
-    ``deleted`` contains the sources of the values that overrides removed.
+    ``deleted`` contains the sources of the config values that overrides removed.
     """
 
     def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
@@ -67,25 +67,25 @@ class Provenance(Mapping[str, Source]):
         return len(self._by_path)
 
     def below(self, path: str) -> list[Source]:
-        """Return the sources of the value at ``path``, or of all values below ``path``."""
+        """Return the sources of the config value at ``path``, or of all values below ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return the sources of the removed values at or below ``path``."""
+        """Return the sources of the config values at or below ``path`` that overrides removed."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
-        """Return the file and line, or the override, that set ``path``.
+        """Return the file and line, or the override, that set the config key ``path``.
 
-        For a section, return the place of its first value. For a missing key, return the place of the nearest parent
-        key.
+        For a config section, return the place of the section's first value. For a missing config key, return the place
+        of the nearest parent key.
         """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Stop before the top-level key: many files set values of this key, so its first place does not help the user.
+        # Stop before a top-level key, because many files set its values and their first place does not help users.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -94,14 +94,14 @@ class Provenance(Mapping[str, Source]):
 
 
 class _Replay:
-    """The sources of all leaves. The replay applies the files and overrides of a composition one by one."""
+    """The sources of all config values, found by applying files and overrides of a composition one by one."""
 
     def __init__(self) -> None:
         self.sources: dict[Keys, Source] = {}
         self.deleted: dict[Keys, Source] = {}
 
     def write(self, keys: Keys, source: Source) -> None:
-        """Record the source of a value, and the earlier sources that the new source replaces."""
+        """Record the source of a config value, and the value's earlier sources, which the new source replaces."""
         below = [leaf for leaf in self.sources if len(leaf) > len(keys) and leaf[: len(keys)] == keys]
         old_value = self.sources[keys].value if keys in self.sources else None
         if source.value == {} and (below or isinstance(old_value, dict)):
@@ -115,7 +115,7 @@ class _Replay:
         self._put(keys, replace(source, shadowed=shadowed), hidden)
 
     def delete(self, keys: Keys, override: str) -> None:
-        """Record that an override deleted a key and all keys below it."""
+        """Record that an override deleted a config key and all keys below this key."""
         gone = [leaf for leaf in self.sources if leaf[: len(keys)] == keys]
         for leaf in gone:
             shadowed = _history(self.sources[leaf])
@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # Move the remaining values of the section next to the section's first value, and keep their order.
+            # Move a section's remaining values next to the section's first value, and keep their order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put a value at the place of the first value that it replaces, because the order of terms has an effect."""
+        """Put a value at the position of the first value that it replaces, because the order of terms has an effect."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -143,15 +143,15 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # If a key is added to an empty mapping, the mapping does not count as replaced.
+    # An empty config mapping to which a key is added does not count as replaced.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
 
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
-    """Return the source of each value of a config by a replay of the loader's last ``load``.
+    """Return the source of each config value; to find it, the files and overrides of the last ``load`` are replayed.
 
-    ``primary`` and ``parsed`` are the primary config and the overrides of that ``load``.
+    ``primary`` is the primary config, and ``parsed`` contains the overrides, of the loader's last ``load``.
     """
     replay = _Replay()
     with hydra_globals():
@@ -205,7 +205,7 @@ def _with_element(node: Any, keys: Keys, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Choice:
-    """A selection of options of a config group, in a file's defaults list or in an override; ``where`` is the place."""
+    """The options of a config group that a file's defaults list or an override selects; ``where`` is the place."""
 
     value: Any
     where: str
@@ -215,10 +215,10 @@ class Choice:
 class Mount:
     """A config group that is mounted at one key of the tree.
 
-    ``name`` is the group as an override names it, such as ``reward@env.rewards``. ``package`` is the config key of the
-    group's options; an empty key means the top of the config. ``choices`` lists all selections of options in the order
-    in which Hydra applies them. Each selection replaces all earlier selections, except a ``+`` override, which adds an
-    option.
+    ``name`` is the name of the config group in an override, such as ``reward@env.rewards``. ``package`` is the config
+    key below which the group's options are; an empty key means the top of the config. ``choices`` lists all selections
+    of the group's options, in the order in which Hydra applies the selections. Each selection of options replaces all
+    earlier selections, except an override with ``+``, which adds an option.
     """
 
     name: str
@@ -230,19 +230,19 @@ class Mount:
 
     @property
     def several(self) -> bool:
-        """Whether the group accepts a list of options."""
+        """True if the config group accepts a list of options."""
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
 def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
-    """Return the mounted groups of a composed config, without Hydra's own groups."""
+    """Return the mounted config groups of a composed config, without Hydra's own config groups."""
     with hydra_globals():
         return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader, parsed).items()]
 
 
 def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
-    # Skip an option whose parent is in the same group: a task extends its parent task, but only one task is selected.
+    # Skip an option whose parent is in the same group, because only one task is selected if a task extends a task.
     mine = [d for d in loader.merged if _group_of(d.config_path) == group and _group_of(d.parent) != group]
     if package:
         mine = [d for d in mine if d.package == package]
@@ -261,7 +261,7 @@ def _choices_by_mount(loader: Loader, parsed: Sequence[Override]) -> dict[str, l
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
     loaded = loader.repository_used.loaded
-    # Hydra applies the files in the order of the defaults list, parents before their children.
+    # Hydra applies config files in the order of the defaults list, parents before their children.
     for path in dict.fromkeys(str(default.config_path) for default in loader.merged):
         for name, choice, override in _in_file(path, loaded[path].file) if path in loaded else ():
             (replacing if override else plain).setdefault(name, []).append(choice)
@@ -282,12 +282,12 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the mounted group whose package contains the config key ``keys``; the longest package has priority."""
+    """Return the mounted group whose key ``package`` contains the config key ``keys``; the longest one has priority."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 
 
 def option_of(mount: Mount, keys: Keys) -> str | None:
-    """Return the option of ``mount`` that contains the term at ``keys``; None if ``keys`` are not inside a term."""
+    """Return the option of the config group ``mount`` with the term at ``keys``; None if ``keys`` is outside a term."""
     depth = len(split_path(mount.package))
     return dotted(keys[depth : depth + 1]) if mount.several and len(keys) > depth else None

@@ -1,8 +1,8 @@
-"""List the values that a key accepts, for ``explain`` and for shell completion.
+"""List the values that a config key accepts, for ``wheelleg explain`` and for shell completion.
 
-Shell completion must be fast, so this module does not import torch. A candidate of the shell completion is a whole
-command-line argument. If a candidate ends in ``.``, ``=``, ``,``, or ``[``, the user continues to type after the
-candidate.
+The module ``alternatives`` does not import torch, because shell completion must be fast. A candidate of the shell
+completion is a whole command-line argument. After a completed word that ends in ``.``, ``=``, ``,``, or ``[``, the user
+continues to type.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from wheelleg_exp.user_exceptions import importing
 
 @dataclass(frozen=True)
 class Alternatives:
-    """The values that a config key accepts, as text and as a list.
+    """The values that a config key accepts, described as text and, if possible, as a list.
 
-    ``values`` is empty if the valid values cannot be listed. ``keys`` contains the unset subkeys of the key, with their
-    defaults.
+    ``values`` is empty if the valid values of the config key cannot be listed. ``keys`` contains the default value of
+    each subkey that the config does not set.
     """
 
     type: str = ""
@@ -50,7 +50,7 @@ class Alternatives:
 
 
 def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
-    """Return the values that the config key ``keys`` accepts."""
+    """Return the valid values of the config key ``keys``."""
     node = at(tree, keys)
     below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
     unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
@@ -68,7 +68,7 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
 
 
 def _plain(value: Any) -> Any:
-    """Return a default value in the form that YAML can contain. An object becomes its text."""
+    """Return a default value in a form that YAML can contain. An object becomes its text."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, (tuple, list)):
@@ -114,7 +114,7 @@ def siblings(target: str) -> list[str]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # `wheelleg check` reports why the module cannot be imported.
+    except Exception:  # `wheelleg check` reports why a module cannot be imported.
         return []
     return [
         f"{module_name}.{name}"
@@ -127,14 +127,14 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # The maximum number of cached composed configs. The oldest cached configs are deleted.
+_MOST_VIEWS = 32  # The largest number of cached composed configs.
 
 
 @dataclass(frozen=True)
 class CompletionView:
-    """The parts of a composed config that the shell completion needs.
+    """The parts of a composed config that shell completion needs.
 
-    ``mounts`` maps each mounted group, as overrides name it, to whether the group takes a list of options.
+    ``mounts`` maps the name of each mounted config group to whether the group takes a list of options.
     """
 
     tree: dict[str, Any]
@@ -143,9 +143,9 @@ class CompletionView:
 
 
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
-    """Compose the overrides, and return the parts of the config that the completion needs, from the cache if possible.
+    """Return the parts of a composed config that shell completion needs, from the cache if possible.
 
-    If the overrides do not compose, compose with only ``task=…``, and if that fails too, without overrides. None: not
+    If Hydra rejects the overrides, compose with only the override ``task=…``, or otherwise without overrides. None: not
     even the primary config composes.
     """
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
@@ -155,7 +155,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    from wheelleg_exp.config.composing.compose import compose  # imports Hydra, which a cached answer does not need
+    from wheelleg_exp.config.composing.compose import compose  # Import Hydra only if no answer is cached.
 
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
@@ -182,7 +182,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
 def complete_override(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the overrides that start with ``word``; ``before`` contains all other overrides of the command line."""
+    """Return the overrides that start with ``word``; ``before`` contains the complete overrides of the command line."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -214,7 +214,7 @@ def complete_override(
 def complete_key(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the keys of sections and values, and the config groups, whose names start with ``word``."""
+    """Return the config keys and the config groups whose names start with ``word``."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -223,7 +223,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the completed keys of one level, such as ``env.`` or ``run.seed=``; with ``removable`` also ``env``."""
+    """Return the completed config keys of one level, such as ``env.`` or ``run.seed=``; ``removable`` adds ``env``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []

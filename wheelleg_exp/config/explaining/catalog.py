@@ -1,4 +1,4 @@
-"""List tasks, groups, options and terms, each with a description of one line."""
+"""List tasks, config groups, group options and terms, each with a one-line description."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wheelleg_exp.terms.config_values import constraints_in, describe
 from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
 
-# The section of the terms of each module of the library.
+# The config section of the terms in each module of the library.
 MODULES = {
     "actions": "actions",
     "commands": "commands",
@@ -41,7 +41,7 @@ LIBRARY = "wheelleg_exp.mdp"
 class LibraryTerm:
     """A stock term that a config can select.
 
-    ``help`` is the first line of the term's docstring. ``limits`` contains the types and bounds of parameters, as text.
+    ``help`` is the first line of the term's docstring. ``limits`` contains types and bounds of parameters as text.
     """
 
     section: str
@@ -79,12 +79,12 @@ def is_term(section: str, found: Any) -> bool:
         return issubclass(found, TermBase) and not abstract
     if not inspect.isfunction(found) or next(iter(inspect.signature(found).parameters), None) != INJECTED[0]:
         return False
-    # An event term returns None. A function of the events module with a different return type is a helper function.
+    # In the events module, a function that does not return None is a helper function, not an event term.
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
 def limits_of(target: Any) -> dict[str, str]:
-    """Return the types and bounds of all parameters that have bounds, as text."""
+    """Return the types and bounds of a target's bounded parameters as text."""
     hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
     return {
         name: describe(hint)
@@ -111,8 +111,8 @@ TASK_GROUP = "task"
 class Entry:
     """One option of a config group.
 
-    ``help`` is a description of one line; it is empty if the option's file has no comment. ``target`` is None if the
-    option is not a term.
+    ``help`` describes the option in one line, or is empty if the option's file has no comment. ``target`` is None for
+    an option that is not a term.
     """
 
     group: str
@@ -123,18 +123,18 @@ class Entry:
 
 
 def tasks(config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the tasks, described by the comments at the top of their files."""
+    """Return the tasks, each described by the comment at the top of its config file."""
     return options(TASK_GROUP, config_dirs)
 
 
 def groups(config_dirs: Sequence[Path] = ()) -> list[str]:
-    """Return the names of the config groups."""
+    """Return the names of all config groups."""
     with hydra_globals():
         return Loader(config_dirs).groups()
 
 
 def options(group: str, config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the options of a group, described by the comments at the top of their files."""
+    """Return the options of a config group, each described by the comment at the top of its file."""
     with hydra_globals():
         loader = Loader(config_dirs)
         _require_group(group, loader.groups())
@@ -142,7 +142,7 @@ def options(group: str, config_dirs: Sequence[Path] = ()) -> list[Entry]:
 
 
 def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the terms of a group, or of all groups, described by the docstrings of their targets."""
+    """Return the terms of one or all config groups, each described by the docstring of its target."""
     with hydra_globals():
         loader = Loader(config_dirs)
         names = loader.groups()
@@ -150,7 +150,7 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
             _require_group(group, names)
         chosen = [group] if group is not None else names
         entries = [_entry(loader, name, option) for name in chosen for option in loader.options(name)]
-    # Some config groups without terms, such as the group of sensors, also contain nodes with ``_target_``.
+    # Config groups without terms, such as the group of sensors, can contain nodes with ``_target_``.
     term_groups = {section.removesuffix("s") for section in RESERVED}
     found = [entry for entry in entries if entry.target is not None]
     return [_with_docstring(e) for e in found if group is not None or e.group.split("/")[0] in term_groups]
@@ -167,13 +167,13 @@ def _entry(loader: Loader, group: str, name: str) -> Entry:
     found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
     try:
         file = chosen_file(config_path, found)
-    except ConfigError:  # The error is raised when the file is composed.
+    except ConfigError:  # Hydra reports the wrong file when it composes the config.
         file = found[0]
     except IndexError:
         file = Path(f"{config_path}.yaml")
     try:
         text = file_text(file)
-    except (OSError, UnicodeDecodeError):  # The error is raised when the file is composed.
+    except (OSError, UnicodeDecodeError):  # Hydra reports the wrong file when it composes the config.
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
 
@@ -183,7 +183,7 @@ def _target(text: str, name: str) -> str | None:
     try:
         yaml_tree(text)
         content: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except Exception:  # The error is raised when the file is composed.
+    except Exception:  # Hydra reports the wrong file when it composes the config.
         return None
     nodes = content if isinstance(content, dict) else {}
     node = nodes.get(name) or (next(iter(nodes.values())) if len(nodes) == 1 else None)

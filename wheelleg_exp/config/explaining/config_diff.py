@@ -23,7 +23,7 @@ ABSENT = _Absent()
 
 @dataclass(frozen=True)
 class Change:
-    """One key at which two config trees differ; ``a`` or ``b`` is ``ABSENT`` if that tree lacks the key."""
+    """One key at which two config trees differ; ``a`` or ``b`` is ``ABSENT`` if tree A or B lacks the key."""
 
     keys: Keys
     a: Any
@@ -31,7 +31,7 @@ class Change:
 
     @property
     def key(self) -> str:
-        """The dotted config key of the value."""
+        """The dotted config key at which two config trees differ."""
         return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
 
 
@@ -45,7 +45,7 @@ def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) 
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two plain values are equal. 1 equals 1.0, and NaN equals NaN, but True differs from 1."""
+    """Return whether two plain config values are equal. 1 equals 1.0, and NaN equals NaN, but True differs from 1."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if _is_list(a) and _is_list(b):
@@ -63,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# The effect of a different order of terms, for each section in which the order of terms has an effect.
+# The effect of a different order of terms, for each config section whose order of terms has an effect.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -76,10 +76,10 @@ _LAID_OUT = ("actions", "observations")
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two configs of a comparison.
+    """One of two configs that are compared.
 
-    ``where`` returns the file and line, or the override, that set or removed a key. ``facts`` contains facts about a
-    run by section, such as code, versions, and hardware.
+    ``where`` returns the file and line, or the override, that set or removed a config key. ``facts`` contains facts
+    about a run's code, versions, and hardware.
     """
 
     label: str
@@ -90,9 +90,9 @@ class Side:
 
 @dataclass(frozen=True)
 class PlacedChange:
-    """One difference between two configs, with the place of each value.
+    """One difference between two configs, with the file and line or override of both values.
 
-    ``is_term`` is true if a whole term or the order of terms differs. ``note`` states the effect of the difference.
+    ``is_term`` is true if the difference is a whole term or the order of terms. ``note`` is the effect.
     """
 
     kind: Kind
@@ -117,7 +117,7 @@ class FactChange:
 
 @dataclass(frozen=True)
 class Difference:
-    """All differences between two configs. The object is false in a boolean context if the configs are equal."""
+    """All differences between two configs; the object is false in a boolean context if the configs are equal."""
 
     terms: tuple[PlacedChange, ...]
     parameters: tuple[PlacedChange, ...]
@@ -128,7 +128,7 @@ class Difference:
 
 
 def compare(a: Side, b: Side) -> Difference:
-    """Return the differences between two configs, without the top-level sections that only one config has."""
+    """Return the differences between two configs; skip top-level sections that only one of both configs has."""
     changes = [change for key in a.tree if key in b.tree for change in _walk(a, b, (str(key),))]
     terms = tuple(change for change in changes if change.is_term)
     return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
@@ -140,7 +140,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # The section is None if the node contains no terms.
+    section = key_slots.section_of((*keys, "any"))  # The section is None for a config node without terms.
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
@@ -161,7 +161,7 @@ def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:
-    """Return whether a key is missing in one config and has its default value in the other config."""
+    """Return whether a config key is missing in one of two configs and has its default value in the second config."""
     parents = [at(side.tree, keys[:-1]) for side in (a, b)]
     if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False
@@ -171,7 +171,7 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
 
 
 def _makes(value: Any, default: Any) -> bool:
-    """Return whether a value equals a default. The value can be the node that builds the default object."""
+    """Return whether a config value equals a default, or is the ``_target_`` node that builds the default object."""
     target = key_slots.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)
@@ -184,7 +184,7 @@ def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
-            continue  # Equal git trees contain equal files, even if their commits differ.
+            continue  # Equal git trees contain equal files, even in different commits.
         for name in one:
             if name in other and not same(one[name], other[name]):
                 yield FactChange(section, name, one[name], other[name])

@@ -22,10 +22,10 @@ from wheelleg_exp.terms.term_binding import TARGET
 
 @dataclass(frozen=True)
 class Meaning:
-    """A description of a config key, and the place of the description.
+    """A text that describes a config key, and the place of this text.
 
-    ``where`` is the file and line of a comment, or the dotted name of an object with a docstring. ``about`` is ``key``,
-    or ``term`` if the text describes the term that contains the key.
+    ``where`` is the file and line of a comment, or the dotted name of a function or class with a docstring. ``about``
+    is ``key`` if the text describes the config key, and ``term`` if it describes the key's term.
     """
 
     text: str
@@ -36,7 +36,7 @@ class Meaning:
 def meanings(
     tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
 ) -> tuple[Meaning, ...]:
-    """Return the comments and docstrings about a config key, the most specific first; ``sources`` set the key."""
+    """Return the comments and docstrings about a config key, the most specific first."""
     found: dict[str, Meaning] = {}
     for note in (*_comments(keys, sources), *_docstrings(tree, keys, slot)):
         found.setdefault(note.text, note)
@@ -51,13 +51,13 @@ def unit_of(notes: Sequence[Meaning], keys: Keys) -> str | None:
 
 
 def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
-    """Yield the comments at the lines that set the key. The first comment is from the file that Hydra merges last."""
+    """Yield the comments at the lines that set a config key, first the comment in the file that Hydra merges last."""
     for source in reversed(sources):
         if source.file is None or source.line is None or len(keys) < len(source.package):
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # source.line is the line of one value, but the comment on a mapping is at the line of the mapping's key.
+            # The line of a source is that of one value, but a mapping's comment is at the line of the mapping's key.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -80,7 +80,7 @@ def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None
             return
 
 
-# Matches an interpolation that refers to a key. An interpolation with a colon calls a resolver instead.
+# Matches an interpolation that refers to a config key. An interpolation with a colon calls a resolver instead.
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 
@@ -88,7 +88,7 @@ _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 class Reference:
     """One config key that an interpolation refers to.
 
-    ``raw`` is the unresolved value of the key if this value is an interpolation, otherwise None.
+    ``raw`` is the unresolved value of the config key if the value is an interpolation, otherwise None.
     """
 
     path: str
@@ -98,14 +98,14 @@ class Reference:
 
 
 def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
-    """Yield the keys that a raw value refers to, directly or through other interpolations."""
+    """Yield the config keys that an interpolation refers to, directly or through further interpolations."""
     tree = composed.raw_tree
     waiting, seen = [(keys, raw)], {keys}
     while waiting:
         here, text = waiting.pop(0)
         for match in _REFERENCE.finditer(str(text)):
             name = match.group(1).strip()
-            dots = len(name) - len(name.lstrip("."))  # In an interpolation, ``.x`` names a sibling of the value.
+            dots = len(name) - len(name.lstrip("."))  # In an interpolation, ``.x`` names a key next to the value.
             found = (*here[: len(here) - dots], *split_path(name[dots:])) if dots else split_path(name)
             if found in seen:
                 continue
@@ -124,10 +124,10 @@ Kind = Literal["value", "term", "section", "group", "not set", "not selected", "
 class Explanation:
     """The explanation of one key.
 
-    ``value`` is the resolved value, or the default if the key is not set. ``raw`` is the unresolved value if the value
-    contains ``${...}``, otherwise None. ``sources`` lists the places that set the key, oldest first. The last source
-    can also be an override that removed the key. ``mount`` is the group at the key, or the group whose ``option``
-    contains the key.
+    ``value`` is the resolved value of a config key, or the default if the config does not set the key. ``raw`` is the
+    unresolved config value if it contains ``${...}``, otherwise None. ``sources`` lists the files and overrides that
+    set the config key, oldest first. The last of the ``sources`` can be an override that removed the config key.
+    ``mount`` is the config group at a key, or the config group whose ``option`` contains the key.
     """
 
     key: str
@@ -147,9 +147,9 @@ class Explanation:
 
 
 def explain_key(composed: Composed, key: str) -> Explanation:
-    """Explain a key or a group of a composed config. The function also explains a valid key that is not set.
+    """Explain a config key or a config group of a composed config. A valid config key that is not set is explained too.
 
-    A key that does not exist and that no code reads raises ConfigError.
+    A config key that does not exist and that no code reads raises ConfigError.
     """
     tree = composed.raw_tree
     keys, found = split_path(key), composed.mounts
@@ -249,13 +249,13 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
     named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
-    # In a mapping that accepts any name, a key that is similar to an existing key is treated as misspelled.
+    # In a config mapping that accepts any name, a key that is similar to an existing key counts as misspelled.
     near = nearest_name(keys[-1], map(str, parent)) if isinstance(parent, Mapping) and not named else None
     has_place = bool(named) or (isinstance(parent, Mapping) and near is None)
     if slot is None or not has_place or key_slots.section_of(keys) is not None:
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
-        return None  # The parent section accepts any key, but no config file sets the key that the user asked about.
+        return None  # The parent section accepts any key, but no config file sets the requested key.
     notes = meanings(tree, keys, slot, ())
     default = None if slot.default is key_slots.REQUIRED else slot.default
     return Explanation(
@@ -270,7 +270,7 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
 
 
 def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
-    """Return the sources of a config value, oldest first. An element of a list has the sources of the whole list."""
+    """Return the sources of a config value, oldest first; an element of a list has the sources of the list."""
     for length in range(len(keys), 0, -1):
         source = composed.provenance.get(dotted(keys[:length]))
         if source is not None:

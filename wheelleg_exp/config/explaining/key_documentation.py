@@ -13,7 +13,7 @@ from typing import Any
 
 from wheelleg_exp.config.tree_lookup import yaml_node
 
-# The description and default of each field that the managers read in a term. The default ... marks a required field.
+# The description and default of each term field that managers read; the default ``...`` marks a required field.
 FIELDS: dict[str, tuple[str, Any]] = {
     "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
     "time_out": ("whether the episode is only cut off: it ends, but has not failed", False),
@@ -30,7 +30,7 @@ FIELDS: dict[str, tuple[str, Any]] = {
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 
-# The description of each config key that no docstring describes. The character * matches one key.
+# The description of each config key that no docstring describes; the character ``*`` matches one key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
     "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: random networks",
@@ -98,7 +98,7 @@ KEYS: dict[str, str] = {
 
 
 def meaning_of(keys: tuple[str, ...]) -> str:
-    """Return the description of a key in the table ``KEYS``; empty if the table does not contain the key."""
+    """Return the description of a config key in the table ``KEYS``; empty if ``KEYS`` does not contain the key."""
     path = ".".join(keys)
     for pattern, text in KEYS.items():
         if pattern == path or (len(pattern.split(".")) == len(keys) and fnmatchcase(path, pattern)):
@@ -110,10 +110,10 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 
 
 def comment_at(file: Path, line: int) -> str:
-    """Return the comment on a line of a YAML file, or the equally indented comment directly above the line.
+    """Return the comment on a line of a YAML file, or the equally indented comment directly above this line.
 
-    The comment at the top of a file describes the whole file. The comment at the top describes a key only if the file
-    has exactly one key.
+    The comment at the top of a YAML file describes the whole file. The comment at the top of a YAML file describes a
+    key only if the file has exactly one key.
     """
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):
@@ -123,7 +123,7 @@ def comment_at(file: Path, line: int) -> str:
 
 
 def file_comment(file: Path) -> str:
-    """Return the comment below a file's ``# @package`` line, which describes a section; empty without a comment."""
+    """Return the comment below a file's ``# @package`` line, which describes a config section; empty if missing."""
     lines = _lines(file, file.stat().st_mtime_ns)
     if not lines or not _PACKAGE.match(lines[0]):
         return ""
@@ -182,14 +182,14 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# One of these words must follow a unit at the start of a line. Otherwise "N environments" would mean newtons.
+# The words that can follow a unit at the start of a line; otherwise, "N environments" would mean newtons.
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
 
 
 def unit_in(text: str) -> str | None:
-    """Return the unit at the start of a comment or docstring line, or after a comma; None without a unit."""
+    """Return the physical unit at the start of a comment or docstring line, or after a comma; None without a unit."""
     for pattern in (_FIRST, _LATER):
         match = pattern.search(text)
         if match:
@@ -239,5 +239,5 @@ def parameters_in(text: str) -> dict[str, str]:
 
 
 def is_own(module: ModuleType, found: Any) -> bool:
-    """Return whether an object is defined in a module or its submodules; False if the object is only imported there."""
+    """Return whether an object is defined, not only imported, in a module or the module's submodules."""
     return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")

@@ -1,4 +1,4 @@
-"""Return the layout of observations and actions, term by term, without a simulation."""
+"""Describe the layout of a policy's observations and actions, term by term, without a simulation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 class TermShape:
     """One term of an observation group, or one action term.
 
-    ``width`` is the number of components of the term in one control step. ``history`` is the number of control steps in
-    the history; 0 means only the present. ``start`` and ``stop`` are the term's indices in the joined vector; None if
-    the term's components are not contiguous. ``joints`` contains the joints that an action drives, in the order of the
-    action's components.
+    ``width`` is the number of components that the term has in one control step. ``history`` is the number of stored
+    control steps of the term; 0 means only the present control step. ``start`` and ``stop`` are the term's indices in
+    the joined observation or action vector; None if they are not contiguous. ``joints`` contains the joints that an
+    action term drives, in the order of the term's components.
     """
 
     name: str
@@ -35,9 +35,9 @@ class TermShape:
 
 @dataclass(frozen=True)
 class GroupShape:
-    """An observation group, or all actions.
+    """The layout of an observation group, or of all actions.
 
-    ``shape`` is the shape of the vector of one environment; None if the terms are not joined.
+    ``shape`` is the shape of one environment's observation or action vector; None if the terms are not joined.
     """
 
     terms: tuple[TermShape, ...]
@@ -46,7 +46,7 @@ class GroupShape:
 
 @dataclass(frozen=True)
 class Shapes:
-    """The layout of a policy's inputs and outputs. ``joints`` contains the joint names in the robot's default order."""
+    """The layout of a policy's inputs and outputs; ``joints`` contains the joint names in the robot's default order."""
 
     joints: tuple[str, ...]
     observations: dict[str, GroupShape]
@@ -54,7 +54,7 @@ class Shapes:
 
 
 def shapes(composed: Composed) -> Shapes:
-    """Return the layout of a config's observations and actions."""
+    """Return the layout of the observations and actions that a config describes."""
     from wheelleg_exp.build import build_env
 
     config = {**composed.config, "env": {**composed.config["env"], "num_envs": 1}}
