@@ -99,7 +99,7 @@ class Arrows:
 class Motion:
     """The recorded poses of the robot's bodies in each of n frames.
 
-    The arrays contain control steps (n,), times in s (n,), training iterations (n,) or None, positions of B bodies in m
+    The attributes are control steps (n,), times in s (n,), training iterations (n,) or None, positions of B bodies in m
     (n, B, 3), and orientations as wxyz (n, B, 4). ``commands`` maps each component of the velocity command to an array
     (n,).
     """
@@ -118,7 +118,7 @@ class Motion:
 
 
 def scene_of(source: Source) -> Scene:
-    """Return the drawable scene of a recording. Raise RunDirectoryError if the recording contains no moving robot."""
+    """Return the drawable scene of a recording. Raise RunDirectoryError for a recording without a moving robot."""
     moving = {STEP, "translation", "quaternion"}
     names = source.children(join(WORLD, source.branch) if source.branch else WORLD)
     entities = {name: entity for name in names if source.recording.has_rows(entity := source_body(source, name))}
@@ -134,12 +134,12 @@ def scene_of(source: Source) -> Scene:
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
-    """Return the recorded motion of a scene. NaN and inf are replaced by the last finite pose.
+    """Return the recorded motion of a scene, in which the last finite pose replaces NaN and inf.
 
     The function raises RunDirectoryError if the bodies have no common control step.
     """
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
-    # Use only common control steps, because a truncated recording can lack the last poses of some bodies.
+    # Use only control steps with poses of all bodies, because a truncated recording can lack the last poses of a body.
     steps = [np.asarray(table.column(STEP)) for table in tables]
     if not all(np.array_equal(own, steps[0]) for own in steps):
         common = reduce(np.intersect1d, steps)
@@ -159,12 +159,12 @@ def motion_of(source: Source, scene: Scene) -> Motion:
 
 
 def source_body(source: Source, name: str) -> str:
-    """Return the rerun entity path of a body."""
+    """Return the rerun entity path of a robot's body."""
     return join(WORLD, source.branch, name)
 
 
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
-    """Return the indices of the frames of a motion that belong to a sample."""
+    """Return the indices of a motion's frames that belong to a sample (recorded sequence of control steps)."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
 
 
@@ -282,7 +282,7 @@ class Camera:
 def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
     """Return a camera that follows the robot in the frames ``rows`` of a motion.
 
-    ``aspect`` is the width of the picture divided by its height.
+    ``aspect`` is the width of a picture divided by its height.
     """
     root = motion.pos[rows, scene.root]
     seen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LOOKED_AT)).round().astype(int)]
