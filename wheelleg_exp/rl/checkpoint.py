@@ -37,7 +37,7 @@ def serialize(state: Mapping[str, Any]) -> bytes:
 def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     """Read a checkpoint. If ``finite`` is true, reject a checkpoint whose networks have NaN or inf parameters.
 
-    The function raises RunDirectoryError if the checkpoint file is missing, damaged, or from another program.
+    ``load`` raises RunDirectoryError if the checkpoint file is missing, damaged, or from another program.
     """
     if not path.is_file():
         message = "the checkpoint does not exist"

@@ -41,8 +41,8 @@ _STATES: dict[str, Callable[[], Any]] = {
 }
 
 
-# torch splits sums of more numbers than GRAIN_SIZE among threads, so the result depends on the thread count.
-# The value is that of torch's constant at::internal::GRAIN_SIZE.
+# The number of addends above which torch splits a sum among threads, so that the sum depends on the thread count.
+# The number is torch's constant at::internal::GRAIN_SIZE.
 SPLIT_ABOVE = 32768
 
 

@@ -39,8 +39,8 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
     """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
     Old runs without the config key ``agent.matmul`` used float32. The value ``auto`` selects the precision by the
-    hardware, never by a measurement, so that all starts of a run have equal precision. The function raises ConfigError
-    if the device does not support the selected precision.
+    hardware, never by a measurement, so that all starts of a run have equal precision. ``chosen_matmul`` raises
+    ConfigError if the device of the training does not support the precision.
     """
     wanted, kind, why_not = str(agent.get("matmul", "float32")), str(agent["device"]).partition(":")[0], ""
     if kind != "cpu":
@@ -77,8 +77,8 @@ def has_units() -> bool:
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
     """Return whether a network layer's matrix products with a batch of ``rows`` depend on the number of threads.
 
-    oneDNN does not promise equal results: with AMX it may split a sum among threads. The function multiplies random
-    matrices of the layers' sizes with several thread counts, including ``threads``.
+    oneDNN does not promise equal results: with AMX it may split a sum among threads. ``products_depend_on_threads``
+    multiplies random matrices of the layers' sizes with several thread counts, including ``threads``.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]

@@ -22,7 +22,7 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
     r"""Return the index of each joint's mirror image. A joint that ``pairs`` does not match is its own mirror image.
 
     ``pairs`` maps a regular expression for the full joint names of one side to the name of the mirror image, which can
-    contain ``\1`` for a matched group. The value None in ``pairs`` removes a pair of joints.
+    contain ``\1`` for a matched group. The value None removes a pair of joints.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():

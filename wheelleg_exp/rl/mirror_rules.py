@@ -30,7 +30,7 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
 }
 # Mirror rules (changes in a mirror image) for observations of any width, such as one number for each joint.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# A mirror rule for bodies has signs, the term's parameter that selects bodies, and whether body axes must match.
+# A mirror rule for bodies has signs, the name of the parameter that selects bodies, and whether body axes must match.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -40,11 +40,11 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
 }
 # The mirror rules (changes in a mirror image) for measurements of an IMU in its own axes.
 IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quaternion")}
-COMMAND_RULE = "command"  # The placeholder for the mirror rule of an observed command.
+COMMAND_RULE = "command"  # The placeholder for an observed command's mirror rule (change in a mirror image).
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# The mirror rules of built-in observations by the name of the observation's function.
+# The mirror rules (changes in a mirror image) of built-in observations by the name of the observation's function.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
@@ -70,7 +70,7 @@ _NAMES_BY_RULE = {
     "body_vectors": ("body_projected_gravity_b",),
 }
 TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
-# The mirror rules of built-in commands by the name of the command's class.
+# The mirror rules (changes in a mirror image) of built-in commands by the name of the command's class.
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",
@@ -96,7 +96,7 @@ _MAX_SIGN_ERROR = 1e-3
 def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
 
-    The function raises ConfigError if a sensor is not a ray caster or its rays are not left-right symmetric.
+    ``mirror_rays`` raises ConfigError for a sensor that is not a ray caster or whose rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
         raise ConfigError("this sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
@@ -114,8 +114,8 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
     """Return the mirror rule of an IMU's measurement, which is a vector, a pseudovector, or a quaternion.
 
     R is the rotation from the IMU's axes to its body's axes, and M is the matrix of the mirror. The mirror image of a
-    vector v is R^T M R v, and of a pseudovector v -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. The function
-    raises ConfigError unless the sensor is an IMU and its own mirror image.
+    vector v is R^T M R v, and of a pseudovector v -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. ``mirror_imu``
+    raises ConfigError unless ``sensor`` is an IMU and its own mirror image.
     """
     if not isinstance(sensor, Imu):
         raise ConfigError("the observed sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")

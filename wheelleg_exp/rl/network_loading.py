@@ -41,7 +41,7 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
 def load_initial(algorithm: Any, initial: Initial) -> None:
     """Load the networks of a checkpoint into an rsl_rl algorithm.
 
-    The function draws no random numbers, so a training's random streams do not depend on the initial networks.
+    ``load_initial`` draws no random numbers, so a training's random streams do not depend on the initial networks.
     """
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong = []
@@ -65,7 +65,7 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
 def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
     """Return the policy of a checkpoint in evaluation mode: its mean action, without exploration noise.
 
-    The function raises RunDirectoryError if a checkpoint is damaged or its networks do not fit the environment.
+    ``load_policy`` raises RunDirectoryError if a checkpoint is damaged or its networks do not fit the environment.
     """
     state = checkpoint.load(path)
     policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()

@@ -96,7 +96,7 @@ def agent_options(agent: Any) -> type:
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# These parameters are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
+# Parameters that are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,
@@ -153,7 +153,7 @@ def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
-    """Return an error if the number of samples per training iteration does not fit the minibatches."""
+    """Return an error if a training iteration has less than two samples, or fewer samples than minibatches."""
     samples = num_envs * int(agent["num_steps_per_env"])
     if samples < 2:  # PPO divides advantages by their standard deviation.
         message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"

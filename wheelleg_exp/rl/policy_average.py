@@ -18,9 +18,9 @@ class PolicyAverage:
 
     During training, a policy's weights fluctuate around an optimum. The mean of the weights is closer to the optimum
     than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J.
-    Control Optim. 30, 1992). Training does not depend on the mean weights. During the first n ``iterations``, the mean
-    m covers the weights w of all iterations. After n iterations, each iteration adds (w - m) / n to the mean m. 0 means
-    no average, and ``is_on`` is False.
+    Control Optim. 30, 1992). Training does not depend on the mean weights. During the first n ``iterations``, m is the
+    mean of the policy's weights w over all iterations. After n iterations, each iteration adds (w - m) / n to the mean
+    m. 0 means no average, and ``is_on`` is False.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
@@ -52,7 +52,7 @@ class PolicyAverage:
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Load a policy's mean weights; without saved mean weights, the mean starts with the next policy update.
 
-        The method raises ValueError if the mean weights do not fit the policy network.
+        ``load_state_dict`` raises ValueError if the mean weights do not fit the policy network.
         """
         if not self.is_on:
             return

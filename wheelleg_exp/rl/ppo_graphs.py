@@ -1,10 +1,10 @@
 """rsl_rl's PPO as CUDA graphs: acting, and the update of the networks.
 
-In every minibatch, rsl_rl waits for the GPU four times, and launches about three hundred kernels. This module runs each
-minibatch of PPO as one CUDA graph, and waits for the GPU once per policy update. The learning rate and the sums of the
-losses stay on the GPU, because a graph cannot read Python numbers that change. Networks, losses, gradient clipping, and
-Adam are rsl_rl's own functions. In a training with several processes (ranks), the CUDA graph includes the communication
-of the ranks. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
+In every minibatch, rsl_rl waits for the GPU four times, and launches about three hundred kernels. ``ppo_graphs`` runs
+each minibatch of PPO as one CUDA graph, and waits for the GPU once per policy update. The learning rate and the sums of
+the losses stay on the GPU, because a CUDA graph cannot read Python numbers that change. Networks, losses, gradient
+clipping, and Adam are rsl_rl's own functions. In a training with several processes (ranks), the CUDA graph includes the
+communication of the ranks. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class CapturedPPO:
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
-        # The CUDA graph for acting can draw actions only from a normal distribution.
+        # The CUDA graph for acting draws actions from a normal distribution.
         is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
         self.act = CapturedActing(algorithm) if is_normal else algorithm.act
 
@@ -56,9 +56,9 @@ class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
     The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. Between
-    policy updates, the optimizer has rsl_rl's settings, so that rsl_rl can save and load the optimizer. A graph reads
-    fixed addresses. If the memory address of a tensor changes, for example when a checkpoint is loaded, a new CUDA
-    graph is captured.
+    policy updates, the optimizer has rsl_rl's settings, so that rsl_rl can save and load the optimizer. A CUDA graph
+    reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is loaded, a
+    new CUDA graph is captured.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -74,7 +74,7 @@ class CapturedUpdate:
         self._advantages = torch.zeros_like(storage.returns)
         self._rate = torch.zeros((), device=algorithm.device)
         symmetry = algorithm.symmetry
-        # If the mirror loss is only logged, its weight in the total loss is 0.
+        # A mirror loss that is only logged has the weight 0 in the total loss.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
         self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)

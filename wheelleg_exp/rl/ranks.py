@@ -3,8 +3,8 @@
 Each process (rank) simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes
 over gloo. No message is unpickled. Processes (ranks) exchange gradients on GPUs over NCCL. A checkpoint of several
 ranks is one tree: networks and optimizer are stored once. Environments, random streams, episode sums, and hidden states
-differ between ranks. The top level of a checkpoint contains the first rank's state, and ``ranks`` contains the state of
-all other ranks.
+differ between ranks. The top level of a checkpoint contains the first rank's state, and its key ``ranks`` contains the
+state of all other ranks.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def error_facts(error: WheellegError | None) -> dict[str, str | None]:
     return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
 
 
-# One process (rank) may convert a robot or compile kernels for this time while all other ranks wait.
+# The time for which one process (rank) may convert a robot or compile kernels while all other ranks wait.
 _PATIENCE = timedelta(minutes=30)
 
 
@@ -238,7 +238,7 @@ class Ranks:
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
         """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        ``times`` are the keys of scalars that are durations. The first process (rank) gets the merged scalars. All
+        ``times`` are the keys of scalars that are durations. The first process (rank) gets the merged scalars, and all
         other ranks get their own scalars.
         """
         if not self.together:
@@ -299,7 +299,7 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
     """Return the digests (hashes) of the state of all processes (ranks), and whether all ranks have equal networks.
 
-    Each rank must call the function with its own state, or with a part of its own state.
+    Each rank must call ``digests_of_all`` with its own state, or with a part of its own state.
     """
     mine = digests.of_state(state)
     if not ranks.together:

@@ -143,8 +143,8 @@ class StepMeans:
     """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
     The managers' logs cover only finished episodes, so robots that fall early weigh more than robots that stand.
-    ``StepMeans`` gives each environment the same weight in each control step. The sums are empty between training
-    iterations, so a checkpoint does not contain them.
+    ``StepMeans`` gives each environment the same weight in each control step. Checkpoints do not contain the sums of
+    ``StepMeans``, because the sums are empty between iterations.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -159,7 +159,7 @@ class StepMeans:
         self._steps += 1
 
     def collect(self) -> dict[str, float]:
-        """Return the means over all environments and all steps since the last ``collect``, and reset the sums to 0."""
+        """Return the means of rewards, terminations, and errors since the last ``collect``, and reset the sums to 0."""
         scalars: dict[str, float] = {}
         with one_thread():
             for (head, names), sums in self._sums.items():

@@ -26,8 +26,8 @@ _MAX_TARGET_ERROR = 1e-4  # rad
 class Mirror:
     """Mirrors observations and actions of an environment left to right.
 
-    ``groups`` are the observation groups that networks read. The constructor raises ConfigError if the robot is not
-    symmetric or if the mirror image of an observation term is unknown.
+    ``groups`` are the observation groups that networks read. ``Mirror`` raises ConfigError if the robot is not
+    symmetric or if it cannot mirror an observation term.
     """
 
     def __init__(

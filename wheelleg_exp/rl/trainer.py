@@ -79,7 +79,7 @@ class Trainer:
         self._ppo: Any = CapturedPPO(self.algorithm) if captures else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
-        """Train until the total of ``until`` iterations, and yield the result of each training iteration.
+        """Train until the number of training iterations is ``until``, and yield the result of each iteration.
 
         If several processes (ranks) train together, each rank must iterate over the results of ``learn``. The first
         rank yields results of all ranks: scalars are means, steps are sums. A number that is NaN or inf raises
@@ -214,7 +214,7 @@ class Trainer:
             self.average.load_state_dict(saved)
             self.env.env.load_state_dict(saved["env"])
             self.log.load_state_dict(saved["log"])
-            # Restore the random state last, because loading the networks can draw random numbers.
+            # Restore the state of random generators last, because loading the networks can draw random numbers.
             torch.set_rng_state(saved["rng"]["torch"])
             if "device" in saved["rng"]:
                 torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
@@ -236,7 +236,7 @@ class Trainer:
             policy.load_state_dict(own)
 
     def set_learning_rate(self, value: float) -> None:
-        """Set the learning rate of the next policy updates. An adaptive schedule starts from this learning rate."""
+        """Set the learning rate of the next policy updates, from which an adaptive schedule starts."""
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value

@@ -15,7 +15,7 @@ class RslRlVecEnv(VecEnv):
     """Adapts ``ManagerBasedRLEnv`` to rsl_rl's ``VecEnv``.
 
     Args:
-        env: the environment. The constructor resets the environment, as Isaac Lab's wrapper for rsl_rl does.
+        env: the environment. ``RslRlVecEnv`` resets the environment, as Isaac Lab's wrapper for rsl_rl does.
         clip_actions: bound of the raw actions, or None.
     """
 
