@@ -76,7 +76,7 @@ def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
-    """Build an environment that resets no ended episode. Raise ConfigError if the robot's base is fixed."""
+    """Build an environment that resets no ended episode. Raise ConfigError for a robot with a fixed base."""
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:

@@ -24,7 +24,7 @@ Array = np.ndarray[Any, Any]
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
 _HEADING = 4.0  # gain, 1/s
-# The integrator's input is limited to this error, rad, so that a push or a fall does not wind up the integrator.
+# The limit of the integrator's input, rad, which prevents that a push or a fall winds up the integrator.
 _MOST_ERROR = 0.05
 
 

@@ -100,7 +100,7 @@ class Difference:
         """The word ``better`` or ``worse`` if two methods differ significantly in a metric, or else an empty text.
 
         A difference is significant if the corrected p value is below ``ALPHA``, and the test has the same sign as the
-        difference of the means. Without a test, a difference is significant if its interval excludes 0.
+        difference of the means. Without a test, the difference's interval must exclude 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
@@ -123,7 +123,7 @@ def interquartile_mean(values: Array) -> float:
     """Return the interquartile mean (mean of the middle half) of ``values``; NaN for an empty array.
 
     The interquartile mean drops the lowest and the highest quarter of the values, each rounded down. With fewer than
-    four values, the interquartile mean is the mean of all values. The interquartile mean is from Agarwal et al., Deep
+    four values, the interquartile mean is the plain mean. The interquartile mean is from Agarwal et al., Deep
     Reinforcement Learning at the Edge of the Statistical Precipice (2021).
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan

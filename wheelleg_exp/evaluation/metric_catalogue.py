@@ -40,7 +40,7 @@ def quadratic(columns: Sequence[Array]) -> Array:
 
 
 def worst(columns: Sequence[Array]) -> Array:
-    """Return the largest value of a column over episodes."""
+    """Return the largest value of a column over all episodes."""
     return columns[0].max(axis=-1)
 
 
@@ -66,7 +66,7 @@ def skill(columns: Sequence[Array]) -> Array:
 def area(columns: Sequence[Array], band: float) -> Array:
     """Return the share of commands for which no robot fell and the mean tracking errors were in the tolerance band.
 
-    ``columns`` contains the index of each episode's command, and the relative errors of both axes; inf after a fall.
+    ``columns`` contains each episode's command index and the relative errors of both axes; inf after a fall.
     """
     cell, *errors = columns
     passed = []
@@ -199,7 +199,7 @@ def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resample
 
 
 def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Figure:
-    """Return a metric with its 95 % percentile bootstrap interval over episodes."""
+    """Return a metric's value over episodes with its 95 % percentile bootstrap interval."""
     columns = metric.values(episodes)
     if not len(columns[0]):
         return Figure(math.nan, math.nan, math.nan, 0, metric.unit, metric.better)
@@ -280,7 +280,7 @@ MOTION = (
 
 
 def measured(motion: Motion, measures: Sequence[Measure] = (*POSTURE, *MOTION)) -> Columns:
-    """Return the columns that the catalogue's formulas compute from the motion of N episodes, (N,) each."""
+    """Return the columns that the formulas of the metric catalogue compute from the motion of N episodes, (N,) each."""
     found = {measure.column: measure.formula(motion) for measure in measures}
     return {name: column for name, column in found.items() if column is not None}
 

@@ -23,7 +23,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Replaces the random draws of a velocity command by fixed values. Raises ConfigError for other command terms."""
+    """Replaces a velocity command's random draws by fixed values. Raises ConfigError if the term is no velocity command."""
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
@@ -94,7 +94,7 @@ class Rollout:
         """Run a policy from the start states of ``seed`` until the scenarios' end, or until every episode has ended.
 
         The policy maps observations by group to raw actions (N, A). ``tell`` is called with the numbers of finished
-        steps and of all steps. ``disturb`` is called with the step number before each control step.
+        steps and of all steps. ``disturb`` is called with the number of each control step, before the step.
         """
         env = self.env
         observations = self.start(seed)
@@ -113,7 +113,7 @@ class Rollout:
             command = self._held.command.clone()
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
-                # Change the command before the step, so that the step's observation contains the new command.
+                # Change the velocity command before a control step, so that its observation contains the new command.
                 self._held.hold(self._commands[:, segment])
             self._meter.begin(step > self._settle_steps)
             observations, *_ = env.step(actions)

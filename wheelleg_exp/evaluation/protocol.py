@@ -1,4 +1,4 @@
-"""Evaluate a policy in all tests of an evaluation protocol. Each test has its own environment."""
+"""Evaluate a policy in all tests of an evaluation protocol, each test in its own environment."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
 
 
 def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
-    """Place every robot on the terrain tile of its scenario."""
+    """Place each robot on the terrain tile of its scenario."""
     env = rollout.env
     ground, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
     assert ground.terrain_origins is not None
@@ -147,12 +147,12 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     """Return columns (N,) that describe how each robot crosses the rough strip; NaN for a robot that did not reach it.
 
-    The function ``ways`` defines ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x - c, where
-    c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between a robot's pitch and its mean pitch
-    before the strip. The mean pitch is subtracted, because robots balance at different pitches. ``recovery_s`` is the
-    time after the strip until the pitch is quiet: its swing over the next ``recovered_s`` seconds is at most
-    ``quiet_factor`` times the swing before the strip, or at most ``quiet_floor``. ``recovered`` is 1 if the robot did
-    not fall and ``recovery_s`` is at most ``within_s``, else 0.
+    The function ``ways`` defines the columns ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x
+    - c, where c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between a robot's pitch and its
+    mean pitch before the rough strip. The mean pitch is subtracted from the pitch, because robots balance at different
+    pitches. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing over the next
+    ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most ``quiet_floor``.
+    ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)
@@ -164,7 +164,7 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
         columns[f"swing_rad_{name}"] = rms(swing, counted)
     limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
     window = max(1, round(options.recovered_s / made.dt))
-    # Each difference of two cumulative sums is the sum of squares over one sliding window.
+    # The difference of two cumulative sums of squares is the sum of squares over one sliding window.
     sums = torch.cat((torch.zeros_like(swing[:1]), swing.square().cumsum(dim=0)))
     coming = torch.full_like(swing, torch.nan)
     coming[: made.steps - window + 1] = ((sums[window:] - sums[:-window]) / window).clamp(min=0.0).sqrt()

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 class EffortMeter(SensorBase):
     """Sums torques and work over all physics steps, so that metrics include chatter within a control step.
 
-    The environment updates an ``EffortMeter`` like a sensor, but the MuJoCo model contains no such sensor. Power is a
-    joint's torque times the mean of its speeds before and after the physics step. The net power excludes the torque I_a
-    q̈ that only accelerates the armature, and whose work is exactly the armature's kinetic energy.
+    The environment updates an ``EffortMeter`` like a sensor, but an ``EffortMeter`` is not in the MuJoCo model. Power
+    is a joint's torque times the mean of its speeds before and after the physics step. The net power excludes the
+    torque I_a q̈ that only accelerates the armature, and whose work is exactly the armature's kinetic energy.
 
     An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. A torque below the
     share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. ``gross``, ``net``,
@@ -42,7 +42,7 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self._of_joints = torch.zeros(4, n, joints, device=env.device)
         self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
-        # Store the number of physics steps in a tensor, so that replays of a CUDA graph increase it.
+        # Store the number of physics steps in a tensor, so that replays of a CUDA graph increase this number.
         self._steps = torch.zeros((), device=env.device)
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
