@@ -34,7 +34,7 @@ class RecordingOptions:
 class Sample:
     """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    A sample starts with the next episode, and ends with the episode in which the sample reaches the requested number of
+    A sample starts with the next episode, and ends with the episode in which it reaches the requested number of control
     steps. Checkpoints do not contain a sample's state, because this state follows from the recorded steps.
     """
 
@@ -46,9 +46,9 @@ class Sample:
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
         """Start or resume a sample (recorded episodes), of which ``taken`` control steps are already recorded.
 
-        After ``enough`` control steps, the sample ends with the current episode; if ``enough`` is 0, the sample is
-        empty. After ``most`` control steps, the sample ends within an episode. ``is_in_episode`` is true if the current
-        episode is being recorded.
+        After ``enough`` control steps, a sample ends with the current episode; if ``enough`` is 0, a sample is empty.
+        After ``most`` control steps, a sample ends within an episode. ``is_in_episode`` is true if the current episode
+        is being recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0

@@ -48,7 +48,7 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 
 
 def optimize_recording(path: Path) -> str | None:
-    """Compress a closed recording to about a third of its size. Return the reason if this fails, or None.
+    """Compress a closed recording to about a third of its size. Return the reason why compression fails, or None.
 
     Compression does not change the recorded values. The compressed file atomically replaces the original file. If the
     disk is full or rerun's program is missing, the recording remains unchanged and without an index.

@@ -3,8 +3,8 @@
 rerun's SDK encodes and decodes the messages themselves.
 
 An rrd file consists of a header of 12 bytes and messages. A message consists of a kind (u64), a length (u64), and the
-number of bytes that the length states. A closed file ends with a message that contains an index, and 32 bytes that
-contain the position of the index.
+number of bytes that the length states. A closed rrd file ends with a message that contains an index, and with 32 bytes
+that contain the index's position.
 
 To extend a recording, rerun's SDK writes a temporary file, whose messages, without the index, are appended to the
 recording. Measured with rerun 0.41:

@@ -21,7 +21,7 @@ SCALARS = "scalars"
 class EntityRows:
     """Gives access to the recorded rows of each rerun entity in a recording's file.
 
-    The constructor raises RunDirectoryError if the file is missing, empty, or not a recording, or if the file contains
+    ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording, or if the file contains
     several recordings and ``recording_id`` does not select one.
     """
 
@@ -59,7 +59,7 @@ class EntityRows:
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return a rerun entity's rows in the format of ``Recording.table``. Raise KeyError if it has no rows."""
+        """Return a rerun entity's rows as ``Recording.table`` does. Raise KeyError for an entity without rows."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:
@@ -78,7 +78,7 @@ class EntityRows:
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
-        """Return a rerun entity's numbers, (rows, width). Raise RunDirectoryError if the rows have different widths."""
+        """Return a rerun entity's numbers, (rows, width). Raise RunDirectoryError for rows of different widths."""
         table = self.rows(entity)
         if SCALARS not in table.column_names:
             message = f"'{entity}' of '{self.path}' contains no numbers"

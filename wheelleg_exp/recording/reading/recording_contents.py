@@ -1,4 +1,4 @@
-"""Read the rows of each rerun entity from a recording's file, and check how much of the file is readable."""
+"""Read the rows of each rerun entity from a recording's file, and check how much of this file is readable."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 class Health:
     """The health of a recording's file: how much of the file is readable.
 
-    ``size`` is the number of bytes of the file, and ``readable`` is the number of bytes up to the end of the last
-    complete message. ``is_closed`` is true if the file has an index. ``damaged`` counts complete messages that cannot
-    be decoded. ``writer`` is the version of rerun that wrote the recording.
+    ``size`` is the number of bytes of the recording, and ``readable`` is the number of bytes up to the end of the last
+    complete message. ``is_closed`` is true if the recording has an index. ``damaged`` counts complete messages that
+    cannot be decoded. ``writer`` is the version of rerun that wrote the recording.
     """
 
     size: int
@@ -82,8 +82,8 @@ class Piece:
 class Contents:
     """The rows of a recording. ``pieces`` maps each rerun entity to its rows.
 
-    The constructor reads a recording's complete messages. The constructor raises RunDirectoryError if the file is
-    missing or not a recording, or if the file contains several recordings and ``recording_id`` does not select one.
+    ``Contents`` reads a recording's complete messages, and raises RunDirectoryError if the file is missing or not a
+    recording, or if the file contains several recordings and ``recording_id`` does not select one.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None) -> None:

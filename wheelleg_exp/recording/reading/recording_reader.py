@@ -83,9 +83,8 @@ class Recording(EntityRows):
         list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
 
         The table of a group has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64 column for each
-        number, with NaN for control steps without a row. In rows without the timeline ``step``, the row number is used
-        as control step. The default of ``env_id`` is the first recorded environment. An unknown name raises
-        RunDirectoryError.
+        number, with NaN for control steps without a row. The table numbers the rows of entities without the timeline
+        ``step``. The default of ``env_id`` is the first recorded environment. An unknown name raises RunDirectoryError.
         """
         path = self._resolved(name, env_id)
         return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)

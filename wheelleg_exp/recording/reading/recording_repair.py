@@ -27,7 +27,7 @@ class Repaired:
 def repair(path: Path, output: Path | None = None) -> Repaired:
     """Write a repaired copy of a recording, which contains every readable message and an index.
 
-    The default output file is ``<name>.repaired.rrd`` in the folder of the recording. The function raises
+    The default output file is ``<name>.repaired.rrd`` in the folder of the recording. ``repair`` raises
     RunDirectoryError if the recording is unreadable or the output file already exists.
     """
     health = Contents(path).health

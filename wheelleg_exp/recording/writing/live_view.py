@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # At runtime, the import of the recorder would import torch a
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
 _POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
-_CHUNKS_PER_FLUSH = 500  # The number of data chunks after which to wait until rerun's viewer has received all chunks.
+_CHUNKS_PER_FLUSH = 500  # The number of data chunks after which to wait until rerun's viewer has received them.
 _NOWHERE = f"http://{LOOPBACK}:9"  # Port 9 belongs to the discard service, and no server listens on this port.
 
 
@@ -40,7 +40,7 @@ class ViewerLostError(Exception):
 
 
 def viewer_command(port: int | str) -> list[str]:
-    """Return the command that opens rerun's viewer, which accepts connections from this machine only."""
+    """Return the command that opens a viewer of rerun to which only programs on the same machine can connect."""
     return [rerun_program(), "--bind", LOOPBACK, "--port", str(port), "--expect-data-soon", "--hide-welcome-screen"]
 
 
@@ -181,7 +181,7 @@ def main(words: list[Any]) -> None:
     try:
         follow(Path(words[0]), folder, words[2:])
     except ViewerLostError as error:
-        with contextlib.suppress(OSError):  # The parent process, which prints the message, can have stopped before.
+        with contextlib.suppress(OSError):  # The parent process, which prints messages, can have stopped.
             os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -191,8 +191,8 @@ def main(words: list[Any]) -> None:
 class LiveView:
     """Shows a recording in rerun's viewer while the run writes the recording's file.
 
-    A child process sends the recording to the viewer. The run only writes the recording's file, so that a slow or
-    broken viewer does not slow down the run. The child process stops with the run, but the viewer remains open.
+    A child process sends the recording to rerun's viewer. The run only writes the recording's file, so that a slow or
+    broken viewer does not slow down the run. The child process stops with the run, but rerun's viewer remains open.
     ``viewer`` is the command of a user-defined viewer, with the placeholder ``{port}`` for the port.
     """
 

@@ -124,7 +124,7 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 
 
 class RecordedEnvironment:
-    """One recorded environment. ``place`` is its position in the row of environments in the viewer's 3D view.
+    """One recorded environment. ``place`` is the environment's position in the viewer's 3D view.
 
     Recorded poses are relative to the environment's first origin, so that the robot starts at the centre of the 3D
     view. ``stamps`` contains the times of all buffered frames.

@@ -28,8 +28,8 @@ Columns = tuple[str, list[Stamp], Any]
 class EventLog:
     """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events of a control step happen after the step is recorded. The recorder logs interval events at the next
-    control step or between two control steps.
+    Interval events of a control step happen after this control step is recorded. The recorder logs interval events at
+    the next control step or between two control steps.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -51,7 +51,7 @@ class EventLog:
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Log the interval events of the last recorded control step, if its number is ``step``."""
+        """Log the interval events of the last recorded control step, if the number of this control step is ``step``."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return

@@ -62,7 +62,7 @@ def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) ->
 
 
 def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a function that reads one environment's row of the tensor ``read()`` as a flat array."""
+    """Return a function that returns one environment's row of the tensor ``read()`` as a flat array."""
     return lambda: host_copy(read()[env_id]).ravel()
 
 

@@ -35,11 +35,11 @@ class Recorder:
     """Writes the motion, numbers, and messages of selected environments to a rerun file.
 
     A recorder draws no random numbers and changes no environment state, so rollouts are bitwise equal with and without
-    a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes the
-    frames to the file.
+    a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes them to
+    the rerun file.
 
-    The timelines are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the step duration) and,
-    if a training iteration is given, ``iteration``.
+    The timelines of the rerun file are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the
+    step duration) and, if a training iteration is given, ``iteration``.
 
     Args:
         path: the file.
@@ -119,9 +119,9 @@ class Recorder:
     def sample(self, due: int, enough: int, most: int) -> None:
         """Start or resume a sample of each environment, a sequence of complete episodes that ``capture`` records.
 
-        Episodes of the sample start after the control step ``due``. After ``enough`` frames of an environment, the
-        sample ends with the environment's current episode. If ``enough`` is 0, the sample is empty. After ``most``
-        frames, the sample ends within an episode.
+        Episodes of a sample start after the control step ``due``. After ``enough`` frames of an environment, a sample
+        ends with the environment's current episode. If ``enough`` is 0, a sample is empty. After ``most`` frames, a
+        sample ends within an episode.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:

@@ -1,4 +1,4 @@
-"""Write the file of a recording, which grows during a run."""
+"""Write a recording's file, which grows during a run."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class RecordingFile:
     """A growing recording. Added data stays in memory until ``flush`` writes it to the file ``path``.
 
     If ``aside`` is true, the recording's file has a temporary name until ``take_place`` is called. ``unfinished`` is
-    the reason why the closed file has no index; None if the file has an index or is open. The constructor raises
-    RunDirectoryError if the file ``path`` exists. Methods raise SimulationFailure if writing fails.
+    the reason why a closed recording has no index; None for a recording that has an index or is open. ``RecordingFile``
+    raises RunDirectoryError if the file ``path`` exists. Methods raise SimulationFailure if writing fails.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
@@ -58,7 +58,7 @@ class RecordingFile:
         self._chunks.append(Chunk.from_columns(entity, [], columns.values()))
 
     def property(self, name: str, values: dict[str, Any]) -> None:
-        """Set a named property of the recording, a dictionary of values."""
+        """Set a named property of a recording, a dictionary of values."""
         self.static(join(PROPERTIES, name), rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:
@@ -70,7 +70,7 @@ class RecordingFile:
         self._chunks += chunks
 
     def blueprint(self, blueprint: Any) -> None:
-        """Set the default layout of rerun's viewer for the recording."""
+        """Set the default layout of rerun's viewer for a recording."""
         self._blueprint = blueprint
 
     def take_place(self) -> None:

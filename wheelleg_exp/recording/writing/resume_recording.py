@@ -29,8 +29,8 @@ class EarlierRecording:
 
     An incomplete last message of the earlier recording is omitted. The earlier recording does not change. ``last``
     contains the last control step and the last value of each counter of episodes or of an episode's control steps.
-    ``steps`` contains all control steps at which the counters were recorded. The constructor raises RunDirectoryError
-    if the earlier recording is damaged or from another program.
+    ``steps`` contains all control steps at which the counters were recorded. ``EarlierRecording`` raises
+    RunDirectoryError if the earlier recording is damaged or from another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:
