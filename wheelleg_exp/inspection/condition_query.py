@@ -47,7 +47,7 @@ Value = NDArray | float
 
 
 class Condition:
-    """A condition on recorded numbers, parsed from text. The constructor raises WheellegError for invalid text."""
+    """A condition on recorded numbers, parsed from text. ``Condition`` raises WheellegError for invalid text."""
 
     def __init__(self, text: str) -> None:
         self.text, self._tree = text, _parsed(text)
@@ -56,7 +56,7 @@ class Condition:
             raise _wrong(text, "it contains no recorded name")
 
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the rows in which the condition is true.
+        """Return a mask (n,) of the rows in which a condition is true.
 
         ``values`` maps each name in the condition to an array of n values, (n,).
         """
@@ -73,7 +73,7 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = "; '==' compares" if "=" in text.replace("==", "").replace("<=", "").replace(">=", "") else ""
         raise _wrong(text, f"it cannot be read ({getattr(error, 'msg', None) or 'too deep'}{hint})") from error
-    # A deep syntax tree would exceed Python's recursion limit, because the condition is evaluated recursively.
+    # A condition with a deep syntax tree would exceed Python's recursion limit, because its evaluation is recursive.
     depth, level = 0, [cast("ast.AST", tree)]
     while level:
         depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
@@ -157,8 +157,8 @@ def _wrong(text: str, reason: str) -> WheellegError:
 class Hit:
     """Consecutive recorded frames in which a condition is true.
 
-    ``around`` contains the frames of the hit and the requested frames before and after the hit. ``around`` is None if
-    no frames before and after the hit were requested.
+    ``around`` contains the frames of a hit and the requested frames before and after the hit. ``around`` is None if no
+    frames before and after a hit were requested.
     """
 
     first: Moment
@@ -182,7 +182,7 @@ def find_hits(
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all rows of the environment, because frames before and after a hit can be outside the selection.
+    # Read all recorded rows of an environment, because frames before and after a hit can be outside the selection.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

@@ -26,8 +26,8 @@ class Episode:
 
     ``iteration`` and ``first_step`` belong to the first recorded frame of an episode, ``last_iteration`` and
     ``last_step`` to its last recorded frame. ``iteration`` is None unless a training was recorded. ``duration_s`` is
-    the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or, if the episode's
-    end was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended the episode.
+    the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or, if an episode's end
+    was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended an episode.
     ``total_reward`` is the sum of all recorded rewards of an episode.
     """
 
@@ -185,8 +185,8 @@ class EffortUse:
 class RewardShare:
     """The contribution of one reward term: its mean (1/s), and its sum over the recorded time.
 
-    ``weight`` is the reward term's configured weight; None if the weight was not recorded. ``share`` is the sum of the
-    reward term's absolute values as a share of all terms' sums; None if all sums are 0.
+    ``weight`` is a reward term's configured weight; None if this weight was not recorded. ``share`` is the sum of a
+    reward term's absolute values as a share of all reward terms' sums; None if all sums are 0.
     """
 
     term: str

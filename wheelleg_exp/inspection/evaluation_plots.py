@@ -116,7 +116,7 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
             angles = np.radians([float(name.partition("°")[0]) for name in mine])
             limits = np.array([np.nanmedian(rows["limit_m_s"][rows["cell_name"] == name]) for name in mine])
             angles, limits = np.append(angles, angles[0]), np.append(limits, limits[0])
-            # In the plot, the robot's forward direction points up, and the robot's left side is on the left.
+            # In a plot of push limits, the robot's forward direction is up, and the robot's left side is on the left.
             axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
             largest = max(largest, float(np.nanmax(limits)))
         _rings(axes, largest or 1.0)

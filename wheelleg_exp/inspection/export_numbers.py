@@ -45,9 +45,9 @@ def export(
 
     Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, and ``env`` for
     several environments. Each recorded number has a float64 column. A Parquet file stores the unit of each column in
-    the field's metadata (``unit``), and properties of the recording in the schema's metadata (``wheelleg``). A folder
-    of CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of float64. NaN
-    is written as ``nan``. An empty CSV field means that a number was not recorded at the row's control step.
+    the field's metadata (``unit``), and the recording's properties in the schema's metadata (``wheelleg``). A folder of
+    CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of float64. NaN is
+    written as ``nan``. An empty CSV field means that a number was not recorded at the row's control step.
 
     If ``terms`` contains dotted names such as ``rewards.base_height``, the numbers are written to one file. The path
     ``output`` must not exist. A file or folder appears at ``output`` only when its content is complete.
@@ -116,7 +116,7 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
 
 
 def _file_name(group: str) -> str:
-    # Escape the name, because a group in another program's recording can have any name, even a path.
+    # Escape the group's name, because a group in another program's recording can have any name, even a path.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 

@@ -148,7 +148,7 @@ class Source:
 
     @property
     def is_training(self) -> bool:
-        """Whether a training wrote the recording."""
+        """Whether a training wrote a recording."""
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
@@ -216,7 +216,7 @@ def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Nu
 def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
-    """Return the indices of the rows within the selected times and training iterations."""
+    """Return the indices of a series' rows within the selected times and training iterations."""
     if selection.begin is None and selection.end is None and selection.iterations is None:
         return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}

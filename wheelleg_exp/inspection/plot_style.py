@@ -84,7 +84,7 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "wheelleg",
     "pdf.fonttype": 42,
     "path.simplify": True,
-    "text.parse_math": False,  # Disable math text, because the name of a term can contain a dollar sign.
+    "text.parse_math": False,  # Disable matplotlib's math text, because names can contain a dollar sign.
 }
 
 
@@ -129,7 +129,7 @@ def shades(count: int) -> list[Any]:
 
 
 def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float, float] | None = None) -> Figure:
-    """Return a matplotlib figure with the panels in a grid and a title above the grid.
+    """Return a matplotlib figure with panels in a grid and a title above this grid.
 
     ``size`` is the width and height of the figure, inches. By default, the figure is as wide as a page, and as high as
     the sum of its panels' heights.

@@ -96,7 +96,7 @@ class Frames:
 
     @property
     def names(self) -> list[str]:
-        """The names of the recorded numbers in the table."""
+        """The names of the recorded numbers in a table of frames."""
         return [name for name in self.table.column_names if name not in TIMES]
 
     def column(self, name: str) -> NDArray:
@@ -171,7 +171,7 @@ _SHOWN = 12
 
 
 def find_number(recording: Recording, name: str, env_id: int | None = None, key: str = "--term") -> Number:
-    """Return the recorded number with the given name. Raise WheellegError if no recorded number has the name."""
+    """Return the recorded number with the given name. Raise WheellegError for an unknown name."""
     numbers = recording.all_numbers(env_id)
     for word in (name, name.strip("/").replace("/", ".")):
         if word in numbers:

@@ -136,7 +136,7 @@ def scene_of(source: Source) -> Scene:
 def motion_of(source: Source, scene: Scene) -> Motion:
     """Return the recorded motion of a scene, in which the last finite pose replaces NaN and inf.
 
-    The function raises RunDirectoryError if the bodies have no common control step.
+    ``motion_of`` raises RunDirectoryError if the bodies have no common control step.
     """
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
     # Use only control steps with poses of all bodies, because a truncated recording can lack the last poses of a body.
@@ -291,7 +291,7 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
     high = np.median([cloud.max(axis=0) for cloud in clouds], axis=0)
     centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
     distance = max(render_scene.camera_distance(cloud - centre, aspect) for cloud in clouds)
-    # Smooth the camera's path only between resets, because a reset moves the robot.
+    # Smooth the camera's path only between resets, because a reset moves the robot to another place.
     cuts = np.flatnonzero(np.linalg.norm(np.diff(root, axis=0), axis=1) > scene.size) + 1
     parts, time = np.split(np.arange(len(root)), cuts), motion.time[rows]
     path = np.concatenate([_gauss(root[part], time[part]) for part in parts if len(part)])

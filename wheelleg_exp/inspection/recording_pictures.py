@@ -50,7 +50,7 @@ def scenery(
     """Return the drawable scene and the motion of one recorded environment.
 
     By default, ``env`` is the environment in which the recorded number ``at`` was nonzero first, or else the first
-    environment. If ``iteration`` is given, only this iteration is searched for a nonzero ``at``.
+    environment. If ``iteration`` is given, only this training iteration is searched for a nonzero ``at``.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -78,10 +78,10 @@ def screenshot(
 
     ``time_s`` is the simulated time of the picture, s, from the start of the recording or of the training iteration
     ``iteration``. ``at`` is the time as text: ``1.5s``, ``400ms``, ``90steps``, or a number such as
-    ``terminations.base_contact`` for the first time at which the number is nonzero. The default of ``at`` is the middle
-    of the training iteration, or else of the last recorded sequence. The default of ``env`` is the environment in which
-    the number ``at`` was nonzero first, or else the first environment. ``screenshot`` raises WheellegError for an
-    invalid time, picture size, or path.
+    ``terminations.base_contact`` for the first time at which the number is nonzero. By default, ``at`` is the middle of
+    the training iteration, or else of the last recorded sequence. By default, ``env`` is the environment in which the
+    number ``at`` was nonzero first, or else the first one. ``screenshot`` raises WheellegError for an invalid time,
+    picture size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -107,7 +107,7 @@ def picture(shown: Scenery, row: int, width: int, height: int, *, caption: bool 
 def pictures(
     shown: Scenery, rows: Sequence[int], width: int, height: int, *, caption: bool = False
 ) -> list[NDArray[np.uint8]]:
-    """Return a picture (height, width, 3) of each frame in ``rows``, with a constant distance from camera to robot."""
+    """Return a picture (height, width, 3) of each frame in ``rows``, with a constant camera distance."""
     require_size(width, height)
     finer = _FINER if _FINER * max(width, height) <= _LARGEST else 1
     found: list[tuple[int, Camera]] = []

@@ -113,7 +113,7 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    If ``terms`` is empty, the purpose of the recordings determines the recorded numbers. The function raises
+    If ``terms`` is empty, the purpose of the recordings determines the recorded numbers. ``overlay`` raises
     RunDirectoryError if the recordings have no number in common.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}

@@ -80,8 +80,8 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
     """Group the recorded episodes of a training into samples. ``longest`` is the maximum episode length, steps.
 
-    A sample of an environment starts with the environment's next episode, so the first episodes of all environments in
-    a sample start within the maximum episode length.
+    A sample of an environment starts with its next episode, so the first episodes of all environments in a sample start
+    within ``longest`` steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -115,7 +115,7 @@ def _sample(found: list[Episode]) -> Sample:
 
 @dataclass(frozen=True)
 class Span:
-    """The first and the last recorded value of one timeline of rerun; the timeline ``sim_time`` is in s."""
+    """The first and the last recorded value of one timeline; the values of the timeline ``sim_time`` are in s."""
 
     first: float
     last: float
@@ -156,12 +156,12 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None if another program wrote the recording. ``sample`` is the last sample (recorded sequence) of a
-    training with a complete episode, and all statistics cover ``sample``. If the user selected rows, or if no training
-    was recorded, ``sample`` is None and all statistics cover the selected rows. ``frames`` contains the number of
-    frames that the statistics cover and the number of all recorded frames. ``notes`` are messages about the recording
-    itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m), roll, and
-    pitch (rad).
+    ``purpose`` is None for a recording that another program wrote. ``sample`` is the last sample (recorded sequence) of
+    a training with a complete episode, and all statistics cover ``sample``. If the user selected rows, or if no
+    training was recorded, ``sample`` is None and all statistics cover the selected rows. ``frames`` contains the number
+    of frames that the statistics cover and the number of all recorded frames. ``notes`` are messages about the
+    recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
+    roll, and pitch (rad).
     """
 
     path: str
@@ -188,7 +188,7 @@ class Summary:
     samples: list[Sample]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary of the recording as a dictionary for JSON."""
+        """Return the summary of a recording as a dictionary for JSON."""
         return {**asdict(self), "health": self.health.as_dict()}
 
 
@@ -196,7 +196,7 @@ def summarize(recording: Recording, selection: Selection | None = None) -> Summa
     """Return the summary of a recording, in which data that was not recorded is None or an empty list.
 
     Statistics cover the selected rows. The default selection is all rows, or, for a training, the last sample (recorded
-    sequence). The table of contents, the samples, and the training scalars always cover the whole recording.
+    sequence). The summary's list of contents, samples, and training scalars always cover the whole recording.
     """
     with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))

@@ -121,6 +121,6 @@ def _run_around(path: Path) -> RunDirectory | None:
         if (folder / MANIFEST_NAME).is_file():
             try:
                 return RunDirectory.open(folder, folder.parent)
-            except WheellegError:  # The run directory is damaged, but its recording can still be readable.
+            except WheellegError:  # A damaged run directory can contain a readable recording.
                 return None
     return None

@@ -39,13 +39,13 @@ _CAUSES = (
     "panic",
     "error",
     "failed",
-)  # words in the line with which rerun's viewer reports a failure
+)  # the words in a line with which rerun's viewer reports a failure
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Start rerun's viewer without network access. Yield the viewer's process and the file with the output of rerun."""
+    """Start rerun's viewer without network access. Yield the viewer's process and its output file."""
     command = [rerun_program(), "--bind", LOOPBACK, *arguments]
     with (
         tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder,
@@ -175,7 +175,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            # Redirect to the URL that shows the recording in rerun's web viewer.
+            # Redirect the browser to the URL that shows the recording in rerun's web viewer.
             page = f"http://{self.headers['Host']}/"
             query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
             self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})

@@ -89,7 +89,7 @@ class Selection:
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
-        except WheellegError:  # A row without a time or iteration is outside a selection of times or iterations.
+        except WheellegError:  # A row without a time is outside a selection of times, and likewise for iterations.
             return False
 
 

@@ -18,7 +18,7 @@ _SMOOTHED_FROM = 60
 _WINDOWS = 40
 _LOG_FROM = 50.0  # The axis of a curve is logarithmic if the curve's largest value is over 50 times its smallest value.
 _SHOWN_TERMS = 7
-# The scalars of the training report, one curve each; tracking errors follow the second curve.
+# The training scalars of the training report, one curve each; the curves of tracking errors follow the second curve.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -30,7 +30,7 @@ CURVES = (
     "Perf/total_fps",
 )
 # The prefixes of training scalars that are tracking errors of commands.
-# Of several logged prefixes, the training report uses only the first.
+# If a training logged several of the prefixes, the training report uses only the first.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
