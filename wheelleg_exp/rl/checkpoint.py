@@ -48,7 +48,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         with warnings.catch_warnings():  # torch warns about checkpoint files that torch.save did not write.
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
-        # Raise ValueError for a state with too many objects, too much nesting, or too large tensors.
+        # Raise ValueError for a checkpoint with too many objects, too much nesting, or too large tensors.
         waiting, parts, room = [(state, 0)], 0, _TIMES * path.stat().st_size + (1 << 20)
         while waiting:
             value, depth = waiting.pop()

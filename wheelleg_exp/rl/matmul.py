@@ -1,9 +1,9 @@
 """Compute the matrix products of the policy update in bfloat16 on CPUs that support it, or in TF32 on GPUs.
 
 Weights, biases, derivatives of activations, losses, sums of gradients, and the optimizer stay float32. Only the factors
-of matrix products and the values between two layers have 8 significant bits (mixed precision, Micikevicius et al. 2018,
-with the format of Kalamkar et al. 2019, whose range makes loss scaling unnecessary). oneDNN sums products in float32.
-Rollouts, evaluation, and export always use float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
+of matrix products and the values between two layers have 8 significant bits (mixed precision, Micikevicius and others
+2018; format of Kalamkar and others 2019). oneDNN sums products in float32. Rollouts, evaluation, and export always use
+float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
 
 @contextmanager
 def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
-    """Make all MLPs multiply in bfloat16 inside a ``with`` block, in the forward and the backward pass."""
+    """Make the MLPs ``networks`` multiply in bfloat16 in a ``with`` block, in the forward and the backward pass."""
     perceptrons = _perceptrons(networks)
     for perceptron in perceptrons:
         perceptron.forward = _forward_of(list(perceptron))

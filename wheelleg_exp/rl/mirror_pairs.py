@@ -1,4 +1,4 @@
-"""Find the mirror image of each joint and each body of a robot that is mirrored left to right."""
+"""Find the mirror image of each joint and each body of a left-right symmetric robot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
     r"""Return the index of each joint's mirror image. A joint that ``pairs`` does not match is its own mirror image.
 
     ``pairs`` maps a regular expression for the full joint names of one side to the name of the mirror image, which can
-    contain ``\1`` for a matched group. The value None removes a pair of joints.
+    contain ``\1`` for a matched group. In ``pairs``, the value None removes a pair.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -128,7 +128,7 @@ class BodyImages:
                 self._images[body] = others[int(apart.argmin())] if others else None
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
-        """Return the name of a body's mirror image. Raise ConfigError for ``key`` if the body has no mirror image.
+        """Return the name of a body's mirror image. Raise ConfigError for ``key`` if it has none.
 
         If ``with_axes`` is true, the axes of a body and of its mirror image must be mirror images.
         """

@@ -83,7 +83,7 @@ COMMAND_RULES: Mapping[str, str] = {
 
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
-    """Return the error for an unknown mirror rule, which states how an observation changes in a mirror image."""
+    """Return the error for an unknown mirror rule (how an observation term changes in a mirror image)."""
     expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
     return ConfigError(f"'{rule}' is not a mirror rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
 
@@ -111,7 +111,7 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
 
 
 def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
-    """Return the mirror rule of an IMU's measurement, which is a vector, a pseudovector, or a quaternion.
+    """Return how an IMU's measurement (a vector, pseudovector, or quaternion) changes in a mirror image.
 
     R is the rotation from the IMU's axes to its body's axes, and M is the matrix of the mirror. The mirror image of a
     vector v is R^T M R v, and of a pseudovector v -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. ``mirror_imu``
@@ -155,8 +155,8 @@ _OFFSETS = (
 class TermMirror:
     """Applies mirror rules (how an observation term changes in a mirror image) to observation terms.
 
-    ``joint_images`` are the indices of the joints' mirror images, and ``joint_signs`` the signs of their motion.
-    ``action`` contains the source indices and the signs of the mirrored action vector.
+    ``joint_images`` are the indices of the joints' mirror images, and ``joint_signs`` are the signs of the joints'
+    motion. ``action`` contains the source index and the sign of each number of a mirrored action vector.
     """
 
     def __init__(
@@ -207,7 +207,7 @@ class TermMirror:
         return joints + [(len(ids) + source, 1.0) for source, _ in joints if rule == "joints_sin_cos"]
 
     def command(self, term: ObservationTerm) -> str | None:
-        """Return the mirror rule of the command that an observation term returns."""
+        """Return the mirror rule (change in a mirror image) of the command that an observation term returns."""
         found: Any = self._env.command_manager.get_term(str(term.term.params["command_name"]))
         if hasattr(found, "body_name"):
             key = f"env.commands.{term.term.params['command_name']}.body_name"

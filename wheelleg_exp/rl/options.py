@@ -21,8 +21,8 @@ class SymmetryOptions:
 
     Attributes:
         joint_pairs: expressions that match the full names of joints on one side, and the names of their images on the
-            other side, with `\1` for a matched group. A joint without a pair is its own mirror image. The value null
-            removes a pair of joints.
+            other side, with `\1` for a matched group. A joint without a pair is its own mirror image. The value null in
+            ``joint_pairs`` removes a pair of joints.
         terms: mirror rules of user-defined observations: a rule by the name of the term, or a sign for each number.
         mirrored_envs: whether the policy sees every second environment in a mirror during training (observations and
             actions), so that it learns both sides from the same number of samples.
@@ -46,7 +46,7 @@ class Learning:
         graph_update: whether PPO's acting and update are CUDA graphs on a GPU. rsl_rl itself updates PPO with RND,
             mirrored samples, or recurrent networks.
         average_iterations: number of iterations over which the policy's weights are averaged exponentially. Plays,
-            evaluations, exports, and other trainings use the averaged weights. The training itself continues with the
+            evaluations, exports, and other trainings use the averaged weights. The training continues with the policy's
             current weights. 0 means no average.
     """
 

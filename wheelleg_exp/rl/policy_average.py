@@ -14,13 +14,13 @@ _COUNT = "averaged_iterations"  # key in `unsaved`
 
 
 class PolicyAverage:
-    """The exponential mean of a policy's weights.
+    """The exponential mean of a policy's weights over training iterations.
 
     During training, a policy's weights fluctuate around an optimum. The mean of the weights is closer to the optimum
-    than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J.
-    Control Optim. 30, 1992). Training does not depend on the mean weights. During the first n ``iterations``, m is the
-    mean of the policy's weights w over all iterations. After n iterations, each iteration adds (w - m) / n to the mean
-    m. 0 means no average, and ``is_on`` is False.
+    than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM Journal
+    on Control and Optimization 30, 1992). The training of a policy does not depend on the mean weights. During the
+    first n ``iterations``, the mean m covers the weights w of all iterations; after that, each iteration adds (w - m) /
+    n to m. 0 means no average, and ``is_on`` is False.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:

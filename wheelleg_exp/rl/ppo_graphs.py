@@ -162,7 +162,7 @@ class CapturedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        # Avoid the actor's method `forward`, which waits for the GPU when it draws actions.
+        # Avoid the actor's method `forward`, which makes the CPU wait for the GPU.
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)

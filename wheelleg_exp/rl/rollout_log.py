@@ -70,7 +70,7 @@ class EpisodeLog:
         self._non_finite: Counter[str] = Counter()
 
     def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
-        """Add the rewards (N,), dones (N,), and extras of one environment step."""
+        """Add the rewards (N,), dones (N,), and extras of one environment step to the log."""
         self._return += rewards
         self._length += 1
         for keys in extras.get("non_finite", {"keys": {}})["keys"].values():

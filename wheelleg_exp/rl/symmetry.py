@@ -1,4 +1,4 @@
-"""Mirror observations and actions left to right, for rsl_rl's symmetry extension and its mirror loss."""
+"""Mirror observations and actions (exchange left and right) for rsl_rl's symmetry extension and its mirror loss."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MAX_TARGET_ERROR = 1e-4  # rad
 
 
 class Mirror:
-    """Mirrors observations and actions of an environment left to right.
+    """Mirrors observations and actions of an environment, so that left and right are exchanged.
 
     ``groups`` are the observation groups that networks read. ``Mirror`` raises ConfigError if the robot is not
     symmetric or if it cannot mirror an observation term.

@@ -128,7 +128,7 @@ class Trainer:
         with self.ranks.agreed():
             self._require_finite(losses)
         if self.ranks.together:
-            # Copy the running means of observations from the first process, because samples differ between processes.
+            # Copy the running means of observations from the first process, because each process has different samples.
             networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
             with communicating():
                 for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
@@ -156,7 +156,7 @@ class Trainer:
 
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
-        """Convert an exception from rsl_rl or a network to a SimulationFailure that names the iteration."""
+        """Convert an exception from rsl_rl or a network to a SimulationFailure that names the training iteration."""
         try:
             yield
         except SimulationFailure as error:
