@@ -174,7 +174,7 @@ class DelayedPolicy:
         self._waiting: list[torch.Tensor] = []
 
     def reset(self) -> None:
-        """Discard the delayed actions and reset the policy."""
+        """Discard all delayed actions and reset the policy."""
         self._waiting = []
         if hasattr(self._policy, "reset"):
             self._policy.reset()

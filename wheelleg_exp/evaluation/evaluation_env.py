@@ -35,7 +35,7 @@ def evaluation_cfg(
 ) -> dict[str, Any]:
     """Return a task's config section ``env`` with the changes that an evaluation needs.
 
-    ``evaluation_cfg`` removes events during an episode, time-outs, rewards, curricula, and recorders.
+    ``evaluation_cfg`` removes events within an episode, time-outs, rewards, curricula, and recorders.
     ``evaluation_cfg`` keeps commands, failure terminations, observations with noise, and events at startup and reset.
     ``ground`` selects flat ground or the task's own ground.
     """
@@ -130,7 +130,7 @@ class RobotParts:
 
 
 def parts_of(env: Env) -> RobotParts:
-    """Return the ``RobotParts`` of an environment's robot, computed at the robot's default pose."""
+    """Return the ``RobotParts`` of an environment's robot, computed at its default pose."""
     robot, model, device = env.scene.robot, env.scene.model, env.device
     names = robot.joint_names
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]

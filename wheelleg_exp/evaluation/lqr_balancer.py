@@ -124,7 +124,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
 
 
 def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
-    """Return the inertia of bodies, kg·m², about an axis through a point or through each body's centre of mass."""
+    """Return the inertia of ``bodies``, kg·m², about an axis through ``point`` or each body's centre of mass."""
     total = 0.0
     for body in bodies:
         along = data.ximat[body].reshape(3, 3).T @ axis

@@ -237,7 +237,7 @@ def holm(tests: Mapping[str, float]) -> dict[str, float]:
 
 
 def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
-    """Return each metric's mean over training seeds. Raise RunDirectoryError if the evaluations' scenarios differ."""
+    """Return each metric's mean over training seeds. Raise RunDirectoryError if evaluations differ in scenarios."""
     require_same_scenarios(evaluations)
     found = []
     for metric in _shared(evaluations):
@@ -334,7 +334,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     return wilcoxon(other, one) if are_pairs else mann_whitney(other, one)
 
 
-# --- functions that describe comparisons in words ---
+# --- functions that describe comparisons of methods in words ---
 
 _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 

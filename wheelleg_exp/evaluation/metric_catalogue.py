@@ -26,7 +26,7 @@ Rows = Callable[[Mapping[str, Array]], Array]
 LEVEL = 0.95  # confidence level
 
 
-# --- functions that reduce the values of episodes to one number ---
+# --- functions that reduce the values of all episodes to one number ---
 
 
 def mean(columns: Sequence[Array]) -> Array:
@@ -107,11 +107,11 @@ def highest(columns: Sequence[Array], share: float) -> Array:
     return count
 
 
-# --- functions that select the episodes of a metric ---
+# --- functions that select the episodes that a metric uses ---
 
 
 def everything(rows: Mapping[str, Array]) -> Array:
-    """Return the mask of all episodes of a test."""
+    """Return a mask that selects all episodes of a test."""
     return np.ones(len(rows["test"]), dtype=bool)
 
 

@@ -170,7 +170,7 @@ def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Colum
     """Return ``error_wheels_m_s``: the RMS error of the velocity over each wheel; (N,).
 
     A point at a distance y to the left of the base has the commanded velocity v - w y, where v is the commanded speed
-    and w the commanded yaw rate. The result has no column for a robot without a forward direction.
+    and w the commanded yaw rate. ``wheel_error`` returns no column for a robot without a forward direction.
     """
     if parts.wheel_offsets is None:
         return {}

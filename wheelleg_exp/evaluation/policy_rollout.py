@@ -23,7 +23,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Replaces a velocity command's random draws by fixed values. Raises ConfigError if the term is no velocity command."""
+    """Replaces a velocity command's random draws by fixed values. Raises ConfigError for other kinds of terms."""
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)

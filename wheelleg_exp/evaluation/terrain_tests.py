@@ -58,7 +58,7 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
     """Return the driven distance and the success of each robot, (N,) each.
 
-    ``distance_ratio`` is the distance along the first heading at the last step before a failure, divided by the
+    ``distance_ratio`` is a robot's distance along its first heading at the last step before a failure, divided by the
     commanded distance. ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least
     ``distance_share``, else 0. The columns ``kind`` and ``level`` identify the terrain tile of each robot.
     """
@@ -88,7 +88,7 @@ def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[
 
     The ground has the friction of ``terrain``, the terrain config of the task.
     """
-    # The outermost points have height 0, so that there is no step between the level ground and the rough strip.
+    # The outermost points of a rough strip have height 0, so that the strip has no step to the level ground.
     rim = options.horizontal_scale
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
     way = options.lin_vel_x * options.horizon_s

@@ -100,7 +100,7 @@ class EffortMeter(SensorBase):
 
 @dataclass
 class Trajectories:
-    """T control steps of N episodes, in SI units and radians. Values after the end of an episode are undefined.
+    """T control steps of N episodes, in SI units and radians. Values after episodes end are undefined.
 
     ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
     root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
