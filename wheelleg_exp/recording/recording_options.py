@@ -9,7 +9,7 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """The config section ``recording``. Only options that the configs of old runs lack have defaults.
+    """The config section ``recording``. An option that the configs of old runs lack has a default.
 
     Attributes:
         enabled: whether a recording is written.

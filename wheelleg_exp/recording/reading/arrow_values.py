@@ -69,7 +69,7 @@ def short_name(name: str) -> str:
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
     """Return an Arrow record batch in which each known column has the Arrow type that belongs to the column's name.
 
-    The result omits columns whose values cannot be converted, or whose short name belongs to an earlier column.
+    ``known_columns`` omits columns whose values cannot be converted, or whose short name belongs to an earlier column.
     """
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))
@@ -90,7 +90,7 @@ def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:
-    """Return whether two Arrow types are equal or differ only in the precision of numbers."""
+    """Return whether two Arrow types are equal or differ only in the precision of their numbers."""
     if pa.types.is_null(kind):
         return True
     if is_list(wanted):

@@ -21,8 +21,8 @@ SCALARS = "scalars"
 class EntityRows:
     """Gives access to the recorded rows of each rerun entity in a recording's file.
 
-    ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording, or if the file contains
-    several recordings and ``recording_id`` does not select one.
+    ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording, or if ``recording_id``
+    does not select one of several recordings in the file.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
@@ -59,7 +59,7 @@ class EntityRows:
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return a rerun entity's rows as ``Recording.table`` does. Raise KeyError for an entity without rows."""
+        """Return a rerun entity's rows as ``Recording.table`` does. Raise KeyError for an entity without any row."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:

@@ -83,7 +83,7 @@ class Contents:
     """The rows of a recording. ``pieces`` maps each rerun entity to its rows.
 
     ``Contents`` reads a recording's complete messages, and raises RunDirectoryError if the file is missing or not a
-    recording, or if the file contains several recordings and ``recording_id`` does not select one.
+    recording, or if ``recording_id`` does not select one of several recordings in the file.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None) -> None:

@@ -30,9 +30,9 @@ _MOST_ENVS = 1 << 12
 class Event:
     """One message in the log of a recording.
 
-    ``kind``, the kind of message, is ``episodes``, ``events``, or ``recording``. ``text`` is the log message without
-    the environment's name. ``level`` is the message's log level, such as ``WARN``. None means: all environments, an
-    unknown step or time (s), or no training iteration.
+    ``kind``, the kind of log message, is ``episodes``, ``events``, or ``recording``. ``text`` is the log message
+    without the environment's name. ``level`` is the message's log level, such as ``WARN``. None means: all
+    environments, an unknown step or time (s), or no training iteration.
     """
 
     kind: str
@@ -83,8 +83,9 @@ class Recording(EntityRows):
         list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
 
         The table of a group has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64 column for each
-        number, with NaN for control steps without a row. The table numbers the rows of entities without the timeline
-        ``step``. The default of ``env_id`` is the first recorded environment. An unknown name raises RunDirectoryError.
+        number, with NaN for control steps without a row. For an entity without the timeline ``step``, the table's
+        column ``step`` contains row numbers. The default of ``env_id`` is the first recorded environment. An unknown
+        name raises RunDirectoryError.
         """
         path = self._resolved(name, env_id)
         return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)
@@ -98,7 +99,7 @@ class Recording(EntityRows):
         return self._names.all(self.branch(env_id))
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
-        """Return a table of the recorded numbers ``numbers``, in the format that ``table`` has for a group."""
+        """Return the recorded numbers ``numbers`` as a table, in the format that ``table`` has for a group."""
         return number_groups.table(self, numbers)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:

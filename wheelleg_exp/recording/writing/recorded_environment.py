@@ -31,7 +31,7 @@ ROBOT = "robot"
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
 
-    The entries of ``given`` (run id, task, checkpoint) override entries of equal name that are computed from the
+    Entries of ``given`` (run id, task, checkpoint) replace entries with equal names that are computed from the
     environment.
     """
     found: dict[str, Any] = {
@@ -126,8 +126,8 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 class RecordedEnvironment:
     """One recorded environment. ``place`` is the environment's position in the viewer's 3D view.
 
-    Recorded poses are relative to the environment's first origin, so that the robot starts at the centre of the 3D
-    view. ``stamps`` contains the times of all buffered frames.
+    Recorded poses are relative to the origin of the environment at the start of the recording, so that the robot starts
+    at the centre of the 3D view. ``stamps`` contains the times of all buffered frames.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -146,7 +146,7 @@ class RecordedEnvironment:
         self.frames = Frames(recorded_frames.environment_channels(env, env_id, paths, self.episodes))
         self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
-        # Read every recorded quantity once, so that a wrong width raises an error before the rollout.
+        # Read each recorded quantity once, so that a quantity with a wrong width raises an error before the rollout.
         self.frames.append()
         self.frames.clear()
         self._draw(env)

@@ -150,7 +150,7 @@ class Stamp:
 
 
 class Frames:
-    """A buffer of one environment's frames since the last flush. Each frame contains the numbers of ``channels``."""
+    """A buffer of one environment's frames since the last flush; each frame contains the numbers of ``channels``."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.channels = list(channels)
