@@ -144,7 +144,7 @@ def with_unit(title: str, entity: str) -> str:
 
 
 def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
-    """Label the axes of a plot panel with time as horizontal axis."""
+    """Label the axes of a plot panel that shows numbers over time."""
     axes.set_xlabel("time in the sample (s)" if relative else "simulated time (s)")
     axes.set_ylabel(label)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))

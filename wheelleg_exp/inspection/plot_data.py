@@ -103,7 +103,7 @@ class Source:
     def find(self, term: str) -> str | None:
         """Return the rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
 
-        In the name of a training scalar, the prefix ``training.`` is optional, and slashes can replace dots.
+        The name of a training scalar can omit the prefix ``training.`` and contain slashes instead of dots.
         """
         parts = parts_of(term) if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
@@ -232,7 +232,7 @@ def drawable(values: Any) -> Numbers:
 
 
 def mean_of(values: Any) -> float:
-    """Return the mean of all finite values that are not too large for a plot axis; 0 without such values."""
+    """Return the mean of all values that are finite and not too large for a plot axis; 0 if there is no such value."""
     known = drawable(values)
     known = known[np.isfinite(known)]
     return float(known.mean()) if len(known) else 0.0

@@ -38,7 +38,7 @@ class Statistics:
 
     ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation has the divisor
     n. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
-    ``maximum_at`` are the moments at which the minimum and the maximum of the number were first recorded.
+    ``maximum_at`` are the moments at which the number's minimum and maximum were first recorded.
     """
 
     count: int

@@ -113,7 +113,7 @@ class Motion:
     commands: Mapping[str, Numbers] = field(default_factory=dict)
 
     def iteration_at(self, row: int) -> int | None:
-        """Return the training iteration of a frame; None if the recording is not of a training."""
+        """Return the training iteration of a recorded frame; None if no training was recorded."""
         return int(self.iteration[row]) if self.iteration is not None and self.iteration[row] >= 0 else None
 
 

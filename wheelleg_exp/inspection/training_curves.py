@@ -134,7 +134,7 @@ def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None,
 
 
 def over_iterations(axes: Axes, label: str = "") -> None:
-    """Label the axes of a plot panel with the training iteration as horizontal axis."""
+    """Label the axes of a plot panel that shows numbers over training iterations."""
     axes.set_xlabel(ITERATIONS)
     axes.set_ylabel(label)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
