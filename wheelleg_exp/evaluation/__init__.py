@@ -1,8 +1,8 @@
-"""Evaluate a policy in physical units. All policies are evaluated on the same fixed scenarios.
+"""Evaluate a policy in physical units. All policies run in the same fixed scenarios.
 
 ``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` runs a policy in the scenarios of an evaluation protocol. It
-returns an ``Evaluation``: one row per episode, and metrics with their intervals. ``evaluate`` and its result classes
-are imported at the first use, because their modules import torch.
+returns an ``Evaluation``: one row per episode, and metrics with their intervals. Python imports ``evaluate`` and its
+result classes at the first use, because their modules import torch.
 
 | module | offers |
 |---|---|

@@ -1,7 +1,7 @@
 """Tests with disturbances: pushes and changed worlds.
 
-The push test finds by bisection the hardest push that a standing robot survives, and measures the time of recovery from
-a reference push. The robustness test changes one property of the simulation at a time, such as friction.
+The push test finds by bisection the hardest push that a standing robot survives, and measures the recovery time after a
+reference push. The robustness test changes one property of the simulation at a time, such as friction.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Pushes:
         self._longest = max(steps)
 
     def of(self, change: torch.Tensor) -> Callable[[int], None]:
-        """Return a callback for each step that changes the robots' velocities by ``change`` (N,), m/s, in total."""
+        """Return a callback for each step; all calls together change the robots' velocities by ``change`` (N,), m/s."""
         env = self.rollout.env
         each = self.direction * (change / self.pulse).unsqueeze(1)
 
@@ -61,14 +61,14 @@ class Pushes:
 def push_columns(
     rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, tell: Tell | None
 ) -> tuple[Columns, Trajectories]:
-    """Return the hardest survived push and the recovery from the reference push in each episode, (N,) each.
+    """Return the hardest survived push and the recovery from the reference push of each episode, (N,) each.
 
-    ``limit_m_s`` is the hardest survived push, found by bisection of [0, highest]. Every episode is simulated
-    ``iterations`` times from the same start, with a push in the middle of the remaining interval. ``limit_m_s`` is 0 if
-    the robot survived no push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of the
-    base before the push. ``recovery_s`` is the time from the reference push until tilt and height stay in their
-    tolerance bands for ``recovered_s``, and NaN if tilt and height never left the bands. ``recovered`` is 1 if the
-    robot did not fall and tilt and height stay in their bands from ``within_s`` on, else 0.
+    ``limit_m_s`` is the hardest survived push, found by bisection of [0, highest]. Each episode is simulated
+    ``iterations`` times from the same start, with a push in the middle of the bisection interval. ``limit_m_s`` is 0 if
+    the robot falls after every push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of
+    the base before the push. ``recovery_s`` is the time from the reference push until tilt and height stay in their
+    tolerance bands for ``recovered_s``; NaN if the push never moves tilt and height out of the bands. ``recovered`` is
+    1 if the robot does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -77,7 +77,7 @@ def push_columns(
     for iteration in range(options.iterations):
         middle = (low + high) / 2
         made = rollout.roll(policy, seed, _part(tell, iteration, rolls), pushes.of(middle))
-        # A fall lowers the upper end of an episode's bisection interval, and survival raises the lower end.
+        # A fall lowers the upper end of an episode's bisection interval, and a survived push raises the lower end.
         low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
     reference = torch.full_like(low, float(options.reference))
     made = rollout.roll(policy, seed, _part(tell, options.iterations, rolls), pushes.of(reference))
@@ -89,7 +89,7 @@ def push_columns(
 
 
 def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
-    """Return the recovery columns of ``push_columns``. ``height`` (N,) is the target height of the base, m."""
+    """Return ``recovery_s`` and ``recovered`` of each episode, given the target height of the base, m, (N,)."""
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
     outside = (tilt >= options.recovered_tilt) | ((made.height - height).abs() >= options.recovered_height)
@@ -103,13 +103,13 @@ def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns
 
 
 def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
-    """Return a progress callback for one of several rollouts that together are shown as one progress bar."""
+    """Return a progress callback for one of several rollouts that share one progress bar."""
     return None if tell is None else lambda done, of: tell(part * of + done, parts * of)
 
 
 @dataclass(frozen=True)
 class World:
-    """A variant of the simulation in the robustness test, with the config section ``env`` of the variant."""
+    """A variant of the simulation in the robustness test, with its own config section ``env``."""
 
     sweep: str
     value: float
@@ -118,11 +118,11 @@ class World:
 
 
 def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
-    """Yield the unchanged simulation (``nominal``) and all changed variants, given the config section ``env``.
+    """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
 
-    The function adds events that set masses, centres of mass, gains, or friction. The added events run after the task's
-    events, and overwrite the random values that the task's events set. In the noise variants, the observation terms in
-    ``noise_std`` get another noise. ``base`` is the name of the root link.
+    ``worlds`` adds events that set masses, centres of mass, gains, or friction. The added events run after the task's
+    events, and overwrite the random values of the task's events. In the noise variants, the observation terms in
+    ``noise_std`` get the noise of the variant. ``base`` is the name of the robot's root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:
@@ -167,14 +167,14 @@ def _with_event(cfg: Mapping[str, Any], function: str, on: Mapping[str, Any], **
 
 
 class DelayedPolicy:
-    """A policy whose actions are delayed by a whole number of control steps. The first actions are zeros."""
+    """A policy with actions that are delayed by a whole number of control steps. The first actions are zeros."""
 
     def __init__(self, policy: Policy, steps: int) -> None:
         self._policy, self._steps = policy, steps
         self._waiting: list[torch.Tensor] = []
 
     def reset(self) -> None:
-        """Discard the delayed actions and reset the policy."""
+        """Discard all delayed actions and reset the policy."""
         self._waiting = []
         if hasattr(self._policy, "reset"):
             self._policy.reset()

@@ -1,7 +1,7 @@
 """Build the environment of a task for an evaluation, and find the wheels and mirrored joints of the robot.
 
-The environment has the task's robot, start states, and observations, but no pushes. Wheels and mirrored joints are
-identified by geometry, never by name.
+The environment of an evaluation has the task's robot, start states, and observations, but no pushes. Wheels and
+mirrored joints are identified by geometry, never by name.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
 _CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "track_air_time": False}
 _DISTURBING = ("interval", "step")
-_MOST_CONTACTS = 8  # A wheel on rough ground has at most this number of contacts.
+_MOST_CONTACTS = 8  # The largest number of contacts of a wheel on rough ground.
 
 
 def evaluation_cfg(
     env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
 ) -> dict[str, Any]:
-    """Return a task's config section ``env``, changed for an evaluation.
+    """Return a task's config section ``env`` with the changes that an evaluation needs.
 
-    The function removes events during an episode, time-outs, rewards, curricula, and recorders. The function retains
-    commands, failure terminations, observations with noise, and events at startup and reset. ``ground`` selects flat
-    ground or the task's own ground.
+    ``evaluation_cfg`` removes events within an episode, time-outs, rewards, curricula, and recorders.
+    ``evaluation_cfg`` keeps commands, failure terminations, observations with noise, and events at startup and reset.
+    ``ground`` selects flat ground or the task's own ground.
     """
     cfg = copy.deepcopy(dict(env_cfg))
     commands = cfg["commands"]
@@ -48,7 +48,7 @@ def evaluation_cfg(
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
     events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
     cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
-    # The time-out term is removed, because the evaluation protocol defines the episode length.
+    # Remove the time-out term, because the evaluation protocol defines the episode length.
     ends = {name: node for name, node in cfg["terminations"].items() if isinstance(node, Mapping)}
     cfg["terminations"] = {name: node for name, node in ends.items() if not node.get("time_out")}
     cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
@@ -76,7 +76,7 @@ def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
-    """Build the environment. Ended episodes are not reset. Raise ConfigError if the robot's base is fixed."""
+    """Build an environment that resets no ended episode. Raise ConfigError for a robot with a fixed base."""
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
@@ -98,21 +98,21 @@ def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | Non
 
 
 def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
-    """Return the parameter ``target_height`` of the first reward term that has this parameter, or else None."""
+    """Return the parameter ``target_height`` of the first reward term with such a parameter; None without one."""
     nodes = (node for node in env_cfg["rewards"].values() if isinstance(node, Mapping))
     return next((node["target_height"] for node in nodes if node.get("target_height") is not None), None)
 
 
 @dataclass(frozen=True)
 class RobotParts:
-    """The joints and other properties of a robot that metrics use. Integer tensors are joint indices.
+    """The joints and physical properties of a robot that metrics use; integer tensors are joint indices.
 
     ``wheels`` (W,) are the joints of driven wheels that carry the robot. ``contacts`` is the name of a contact sensor
-    on every body, and ``wheel_bodies`` (W,) are the columns of the wheels in this sensor. ``wheel_offsets`` (W,) are
-    the y coordinates of the wheels in the base's axes, m; None if the robot has no forward direction. ``left`` (P,) are
-    driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is ``right``
-    at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J) is in N·m, inf without a
-    limit; ``mass`` is in kg and ``gravity`` in m/s².
+    on every body, and ``wheel_bodies`` (W,) are the columns of the W wheels in the data of ``contacts``.
+    ``wheel_offsets`` (W,) are the y coordinates of the wheels in the base's axes, m; None if the robot has no forward
+    direction. ``left`` (P,) are driven joints of the left legs, and ``right`` (P,) are their mirror images: the image
+    of ``left`` at q is ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit``
+    (N, J) is in N·m, and inf for a joint without a limit; ``mass`` is in kg and ``gravity`` in m/s².
     """
 
     joint_names: tuple[str, ...]
@@ -130,7 +130,7 @@ class RobotParts:
 
 
 def parts_of(env: Env) -> RobotParts:
-    """Return the ``RobotParts`` of an environment's robot, computed at the robot's default pose."""
+    """Return the ``RobotParts`` of an environment's robot, computed at its default pose."""
     robot, model, device = env.scene.robot, env.scene.model, env.device
     names = robot.joint_names
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]

@@ -24,7 +24,7 @@ Array = np.ndarray[Any, Any]
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
 _HEADING = 4.0  # gain, 1/s
-# The integrator's input is limited to this error, rad, so that a push or a fall does not wind up the integrator.
+# The limit of the integrator's input, rad, which prevents that a push or a fall winds up the integrator.
 _MOST_ERROR = 0.05
 
 
@@ -32,10 +32,10 @@ _MOST_ERROR = 0.05
 class Pendulum:
     """Pendulum model of a robot on one axle of wheels: a rigid body at the default pose.
 
-    ``mass``, kg, and ``inertia`` about the axle, kg·m², exclude the wheels. ``height`` is the distance of the centre of
+    ``mass``, kg, and ``inertia`` about the axle, kg·m², are without wheels. ``height`` is the distance of the centre of
     mass from the axle, m. ``lean`` is the pitch at which the centre of mass is above the axle, rad, positive for nose
     down. ``rolling`` is the resistance of the wheels to rolling, kg: their mass, and their inertia over the radius
-    squared. ``radius`` is the wheel radius, m, and ``track`` is the distance between the outermost contacts, m.
+    squared. ``radius`` is the wheel radius, m, and ``track`` is the distance between the outermost wheel contacts, m.
     ``gravity`` is in m/s².
     """
 
@@ -55,7 +55,7 @@ class Pendulum:
 
     @property
     def _coupling(self) -> float:
-        """The coupling coefficient between the pitch acceleration and the rolling of body and wheels, kg·m."""
+        """The coefficient, kg·m, that couples the pitch acceleration with the rolling of body and wheels."""
         return self.mass * self.height + (self.mass + self.rolling) * self.radius
 
     @property
@@ -66,9 +66,9 @@ class Pendulum:
     def linear(self) -> tuple[Array, Array]:
         """Return the matrices A (4, 4) and B (4, 1) of the model with the state [position, pitch, speed, pitch rate].
 
-        The model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative to the
-        body, so the armature cancels. With the pitch θ and the axle's speed v = r (w + θ'): ``I θ'' + m h v' = m g h θ
-        - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``, where m_w is ``rolling``.
+        The pendulum model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative
+        to the body, so the armature cancels. With the pitch θ and the axle's speed v = r (w + θ'):
+        ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``, where m_w is ``rolling``.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -80,7 +80,7 @@ class Pendulum:
     def gains(self, step_dt: float) -> Array:
         """Return the LQR gains K (4,) of the feedback u = -K [position, pitch, speed, pitch rate] in discrete time."""
         a, b = self.linear()
-        # The upper rows of the matrix exponential contain the discrete matrices A and B (zero-order hold).
+        # The upper rows of the matrix exponential contain the discrete-time matrices A and B (zero-order hold).
         whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
         a, b = whole[:4, :4], whole[:4, 4:]
         cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
@@ -90,7 +90,7 @@ class Pendulum:
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     """Return the pendulum model of a robot at its default pose without randomisation, and the robot's anatomy.
 
-    The function raises ConfigError unless the robot stands on driven, parallel wheels of one axle.
+    ``pendulum_of`` raises ConfigError unless the robot stands on driven, parallel wheels of one axle.
     """
     robot, model = env.scene.robot, env.scene.model
     data = at_default(model, robot)
@@ -124,7 +124,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
 
 
 def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
-    """Return the inertia of bodies, kg·m², about an axis through a point or through each body's centre of mass."""
+    """Return the inertia of ``bodies``, kg·m², about an axis through ``point`` or each body's centre of mass."""
     total = 0.0
     for body in bodies:
         along = data.ximat[body].reshape(3, 3).T @ axis
@@ -136,18 +136,18 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
 
 
 class Reference:
-    """An LQR balancer with a policy's interface. The balancer reads the exact state and outputs the task's actions.
+    """An LQR balancer with a policy's interface, which reads the exact state and returns the task's actions.
 
     The target of a wheel is ``w + u / b``: the speed w, the optimal acceleration u, and the ``bandwidth`` b of the
     wheels' drive in 1/s. A speed difference between the left and the right wheels turns the robot to the commanded
-    heading. All joints but the wheels stay at their default positions. The position target moves at the commanded
-    speed, so speed errors do not accumulate to a position error.
+    heading. All joints but the wheels stay at their default positions. The robot's target position moves at the
+    commanded speed, so that the LQR corrects position errors.
 
-    An integrator estimates the pitch (lean) at which the robot balances. This lean depends on the centre of mass, on
-    external forces, and on the slope of the ground. The integrator sums the pitch acceleration that the linear model
-    does not predict, with the time constant of the unstable pole. The integrated error is 0 in balance, so the position
-    has no steady-state error. Commands do not wind up the integrator, because the model predicts the effect of
-    commands.
+    An integrator estimates the pitch at which the robot balances. The balanced pitch depends on the centre of mass, on
+    external forces, and on the slope of the ground. With the time constant of the unstable pole, the integrator sums
+    the pitch acceleration that the linear model does not predict. The unpredicted acceleration is 0 in balance, so the
+    position has no steady-state error. Commands do not wind up the integrator, because the linear model predicts the
+    effect of commands.
     """
 
     name = "reference"
@@ -162,10 +162,10 @@ class Reference:
         names = [wheel.joint for wheel in wheels]
         self._wheels = torch.tensor([robot.joint_names.index(name) for name in names], device=device)
         self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
-        # In a left turn, the sign of a wheel's speed depends on the side of the wheel.
+        # In a left turn, left wheels get a negative speed change and right wheels get a positive speed change.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
-        # The drive's bandwidth, 1/s, is the damping divided by the armature, but at most one per control step.
+        # A wheel drive's bandwidth, 1/s, is its damping divided by its armature, but at most one per control step.
         robot = env.scene.robot
         ids = [robot.joint_names.index(name) for name in names]
         damping = robot.data.default_joint_damping[0, ids].mean()
@@ -201,7 +201,7 @@ class Reference:
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
         error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
         wheel = speed - (error @ self._k) / self.bandwidth
-        # Wrap the heading error to ±π, so that the robot always turns in the shorter direction.
+        # Wrap the heading error to ±π, so that the robot turns by the smaller angle.
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
         targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs
@@ -212,7 +212,7 @@ class Reference:
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         """Update the integrator by one control step, and return the pitch at which each robot balances, rad, (N,).
 
-        ``fresh`` (N,) is true if an episode starts. ``state`` (3, N) contains pitch, pitch rate, and wheel speed.
+        ``fresh`` (N,) is true if a new episode starts; ``state`` (3, N) is pitch, pitch rate, and wheel speed.
         """
         a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt
@@ -225,7 +225,7 @@ class Reference:
         return self.pendulum.lean + self._lean
 
     def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions for given wheel speeds, with the default position as target of all other joints."""
+        """Return the raw actions for given wheel speeds; all joints but the wheels get their default positions."""
         data = self._env.scene.robot.data
         limits = data.soft_joint_vel_limits[:, self._wheels]
         speeds = data.default_joint_vel.clone()
@@ -235,7 +235,7 @@ class Reference:
 
 
 def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:
-    """Return the task's action terms and their joints. Raise ConfigError if no term can set the wheels' speeds."""
+    """Return the task's action terms and their joints. Raise ConfigError if no action term sets the wheels' speeds."""
     found: list[tuple[JointAction, torch.Tensor]] = []
     manager, names = env.action_manager, env.scene.robot.joint_names
     for name in manager.active_terms:

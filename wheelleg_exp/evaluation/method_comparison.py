@@ -1,7 +1,7 @@
 """Compare evaluations: one method over several training seeds, and one method against another.
 
-The module computes bootstrap intervals over training seeds, the interval of a difference between two methods, and
-statistical tests of episodes. The functions ``verdict`` and ``push_verdict`` summarise the differences in sentences.
+The module computes bootstrap intervals over training seeds, intervals of differences between methods, and statistical
+tests of episodes. The functions ``verdict`` and ``push_verdict`` describe differences between methods in sentences.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ALPHA = 0.05  # significance level
 
 @dataclass(frozen=True)
 class Interval:
-    """A value with the lower and the upper end of its 95 % confidence interval.
+    """A metric's value with the lower and the upper end of its 95 % confidence interval.
 
     ``floor`` is the noise floor: the difference of two such values that chance exceeds once in 20 times.
     """
@@ -46,8 +46,8 @@ class Test:
         untied: number of pairs that differ; None without pairs.
         difference: second minus first: of shares, the median of the pairs' differences, or of medians without pairs.
         effect: effect size of the test from -1 to 1, positive if the second is larger: the rank-biserial correlation
-            (Kerby, 2014), or the difference of shares. The signs of the effect size and of the median difference can
-            disagree, if many small differences and a few large differences have opposite signs.
+            (Kerby, 2014), or the difference of shares. The signs of the effect size and of the median difference
+            disagree if many small and a few large differences between pairs have opposite signs.
     """
 
     test: str
@@ -77,8 +77,8 @@ class Difference:
     Attributes:
         metric: ``group/metric``.
         unit: unit of all numbers.
-        better: ``higher``, ``lower``, or empty. The text is empty for maxima over episodes, because no test is valid
-            for a maximum.
+        better: ``higher``, ``lower``, or empty. ``better`` is empty for maxima over episodes, because no statistical
+            test is valid for a maximum.
         first: mean over the trainings of the method in question.
         second: mean over the trainings of the other method.
         interval: first minus second, with its bootstrap interval.
@@ -97,10 +97,10 @@ class Difference:
 
     @property
     def outcome(self) -> str:
-        """The text ``better`` or ``worse`` if the two methods differ significantly, or else an empty text.
+        """The word ``better`` or ``worse`` if two methods differ significantly in a metric, or else an empty text.
 
-        A difference is significant if the corrected p value is small enough, and the test has the same sign as the
-        difference of the means. For a metric without a test, the confidence interval of the difference must exclude 0.
+        A difference is significant if the corrected p value is below ``ALPHA``, and the test has the same sign as the
+        difference of the means. Without a test, the difference's interval must exclude 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
@@ -112,7 +112,7 @@ class Difference:
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the difference as a dictionary for JSON, in which None replaces NaN and inf."""
+        """Return the difference of two methods as a dictionary for JSON, in which None replaces NaN and inf."""
         return plain({**asdict(self), "outcome": self.outcome})
 
 
@@ -120,11 +120,11 @@ class Difference:
 
 
 def interquartile_mean(values: Array) -> float:
-    """Return the interquartile mean (mean of the middle half) of the values; NaN without values.
+    """Return the interquartile mean (mean of the middle half) of ``values``; NaN for an empty array.
 
-    The function drops the lowest and the highest quarter of the values, each rounded down. With fewer than four values,
-    no value is dropped. The method is from Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical
-    Precipice (2021).
+    The interquartile mean drops the lowest and the highest quarter of the values, each rounded down. With fewer than
+    four values, the interquartile mean is the plain mean. The interquartile mean is from Agarwal et al., Deep
+    Reinforcement Learning at the Edge of the Statistical Precipice (2021).
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan
 
@@ -133,18 +133,18 @@ def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.ran
     """Return the mean of a metric over S training seeds with a percentile bootstrap interval, clustered by seed.
 
     ``values`` (S,) is the metric of each seed. ``drawn`` contains B bootstrap values of the metric for each seed, (B,)
-    each. With one seed, the interval covers only the variation between episodes, not between trainings.
+    each. With one training seed, the interval covers only the variation between episodes, not between trainings.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
 
 
 def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> Array:
-    """Return B means over resampled training seeds and over resampled episodes of each seed, (B,).
+    """Return B bootstrap means over resampled training seeds and over resampled episodes of each seed, (B,).
 
-    The episodes of one training seed are not independent samples of the method. So the function first resamples seeds,
-    and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). With a single seed,
-    the order of the bootstrap values does not change.
+    The episodes of one training seed are not independent samples of the method. The bootstrap resamples first training
+    seeds, and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). With a single
+    training seed, the bootstrap values keep their order.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -152,7 +152,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # np.resize repeats the values of shorter columns, but `places` never selects the repeated values.
+    # np.resize repeats the values of short columns, but `places` never selects the repeated values.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -161,7 +161,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
 
 
 def interval(value: float, drawn: Array, generator: np.random.Generator) -> Interval:
-    """Return a value with a percentile interval and a noise floor, both computed from B bootstrap values, (B,)."""
+    """Return a metric's value with a percentile interval and a noise floor, computed from bootstrap values (B,)."""
     finite = drawn[np.isfinite(drawn)]
     if not len(finite):
         return Interval(value, math.nan, math.nan, math.nan)
@@ -171,8 +171,8 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
     """Return the 95 % quantile of the absolute difference between two random bootstrap values.
 
-    If the same method is evaluated twice with equal numbers of seeds and episodes, the two results differ by more than
-    the noise floor once in 20 times. For normally distributed values, the noise floor is 1.96 √2 standard errors.
+    If a method is trained and evaluated twice with equal numbers of seeds and episodes, the two results differ by more
+    than the noise floor once in 20 times. For normally distributed values, the noise floor is 1.96 √2 standard errors.
     """
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))
@@ -182,10 +182,10 @@ def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
 
 
 def mcnemar(first: Array, second: Array) -> Test:
-    """Return the exact McNemar test of paired outcomes, 1 or 0, of two policies in equal scenarios.
+    """Return the exact McNemar test of two policies' paired outcomes (success 1, failure 0) in equal scenarios.
 
-    The test uses only scenarios in which exactly one of the two policies succeeded. By chance both cases are equally
-    likely: the two-sided binomial test of Dwass (1955), McNemar (1947).
+    The McNemar test uses only scenarios in which exactly one of the two policies succeeded. By chance both cases are
+    equally likely: the two-sided binomial test of Dwass (1955), McNemar (1947).
     """
     won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
     p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
@@ -206,7 +206,7 @@ def wilcoxon(first: Array, second: Array) -> Test:
 
 
 def fisher(first: Array, second: Array) -> Test:
-    """Return Fisher's exact test of the unpaired outcomes, 1 or 0, of two policies."""
+    """Return Fisher's exact test of two policies' unpaired outcomes (success 1, failure 0)."""
     table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
     share, p = float(second.mean() - first.mean()), float(stats.fisher_exact(table).pvalue)
     return Test("Fisher", p, min(len(first), len(second)), None, share, share)
@@ -223,10 +223,10 @@ def mann_whitney(first: Array, second: Array) -> Test:
 
 
 def holm(tests: Mapping[str, float]) -> dict[str, float]:
-    """Return the p values by name, corrected for the number of tests with Holm's method (1979)."""
+    """Return the p values of statistical tests by name, corrected for the number of tests with Holm's method (1979)."""
     ordered = sorted(tests, key=lambda name: tests[name])
     corrected, least = {}, 0.0
-    # In Holm's method, the corrected p values must not decrease when the tests are sorted by p value.
+    # In Holm's method, a test with a larger p value must not get a smaller corrected p value.
     for rank, name in enumerate(ordered):
         least = max(least, min(1.0, (len(ordered) - rank) * tests[name]))
         corrected[name] = least
@@ -237,7 +237,7 @@ def holm(tests: Mapping[str, float]) -> dict[str, float]:
 
 
 def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
-    """Return the mean of every metric over training seeds. Raise RunDirectoryError if the scenarios differ."""
+    """Return each metric's mean over training seeds. Raise RunDirectoryError if evaluations differ in scenarios."""
     require_same_scenarios(evaluations)
     found = []
     for metric in _shared(evaluations):
@@ -249,10 +249,10 @@ def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
 
 
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
-    """Return the difference of two methods in each common metric. Raise RunDirectoryError if their scenarios differ.
+    """Return the difference of two methods in each common metric. Raise RunDirectoryError if the scenarios differ.
 
-    Each method has one evaluation per training seed. Two episodes with equal start states are a pair. For several
-    trainings of a method, the value of a scenario is the mean over these trainings.
+    Each method has one evaluation per training seed. Two episodes with equal start states are a pair. For a method with
+    several trainings, the metric's value in a scenario is the mean over all trainings of the method.
     """
     everyone = [*first, *second]
     require_same_scenarios(everyone)
@@ -275,7 +275,7 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a nested value for JSON, in which None replaces NaN and inf."""
+    """Return a copy of nested containers for JSON, in which None replaces NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -306,7 +306,7 @@ def _difference(
     metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluation], are_pairs: bool
 ) -> Difference:
     means = [float(np.mean([one.value(metric.name) for one in group])) for group in (first, second)]
-    if metric.reduce is worst:  # Neither a test nor a bootstrap is valid for the maximum of a sample.
+    if metric.reduce is worst:  # For a maximum over episodes, neither a statistical test nor a bootstrap is valid.
         bare = Interval(means[0] - means[1], math.nan, math.nan, math.nan)
         return Difference(metric.name, metric.unit, "", means[0], means[1], bare, None, None)
     generator = _generator(first[0], metric, "difference")
@@ -322,7 +322,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     if are_pairs:
         kept = np.logical_and.reduce([metric.kept(one.episodes) for one in (*first, *second)])
         one, other = (np.mean([each.episodes[name][kept] for each in group], axis=0) for group in (first, second))
-        # Drop an episode of both methods if the value of one method is not finite, so that pairs stay aligned.
+        # If a metric of one method is not finite in an episode, drop the episode from both methods.
         finite = np.isfinite(one) & np.isfinite(other)
         one, other = one[finite], other[finite]
     else:
@@ -334,7 +334,7 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     return wilcoxon(other, one) if are_pairs else mann_whitney(other, one)
 
 
-# --- functions that describe comparisons in words ---
+# --- functions that describe comparisons of methods in words ---
 
 _LIMIT, _WORST = "push/limit_", "push/limit_worst_"
 
@@ -355,7 +355,7 @@ def verdict(found: Sequence[Difference], first: str, second: str, trainings: Seq
 
 
 def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
-    """Return a sentence about which of two methods survives harder pushes; an empty text without push tests.
+    """Return a sentence that states which of two methods survives harder pushes; an empty text without push tests.
 
     A method is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
     """

@@ -1,7 +1,7 @@
 """Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
 
 ``POSTURE`` and ``MOTION`` declare metrics with one row each: a formula for the column of episodes, its unit, and its
-reduction. The function ``metrics_of`` returns the metrics of a given test.
+reduction. The function ``metrics_of`` returns the metrics of a given test of the evaluation protocol.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ Rows = Callable[[Mapping[str, Array]], Array]
 LEVEL = 0.95  # confidence level
 
 
-# --- functions that reduce the values of episodes to one number ---
+# --- functions that reduce the values of all episodes to one number ---
 
 
 def mean(columns: Sequence[Array]) -> Array:
-    """Return the mean over episodes."""
+    """Return the mean of a column over episodes."""
     return columns[0].mean(axis=-1)
 
 
 def quadratic(columns: Sequence[Array]) -> Array:
-    """Return the root mean square over episodes. All episodes have equal weight, whatever their length."""
+    """Return the root mean square of a column over episodes, with equal weight for short and long episodes."""
     return np.sqrt(np.square(columns[0]).mean(axis=-1))
 
 
 def worst(columns: Sequence[Array]) -> Array:
-    """Return the largest value over episodes."""
+    """Return the largest value of a column over all episodes."""
     return columns[0].max(axis=-1)
 
 
 def median(columns: Sequence[Array]) -> Array:
-    """Return the median over episodes."""
+    """Return the median of a column over episodes."""
     return np.median(columns[0], axis=-1)
 
 
 def gain(columns: Sequence[Array]) -> Array:
-    """Return the least-squares slope of the second column (velocity) over the first (command)."""
+    """Return the least-squares slope of the second column (velocity) over the first column (command)."""
     command, velocity = columns
     centred = command - command.mean(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -64,9 +64,9 @@ def skill(columns: Sequence[Array]) -> Array:
 
 
 def area(columns: Sequence[Array], band: float) -> Array:
-    """Return the share of commands for which no robot fell and the mean tracking errors are within the tolerance band.
+    """Return the share of commands for which no robot fell and the mean tracking errors were in the tolerance band.
 
-    ``columns`` contains the index of each episode's command, and the relative errors of both axes; inf after a fall.
+    ``columns`` contains each episode's command index and the relative errors of both axes; inf after a fall.
     """
     cell, *errors = columns
     passed = []
@@ -76,15 +76,15 @@ def area(columns: Sequence[Array], band: float) -> Array:
             count = mine.sum(axis=-1)
             sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
             good = np.all([total <= band * count for total in sums], axis=0)
-            passed.append(np.where(count > 0, good, np.nan))  # A bootstrap resample can lack episodes of a command.
+            passed.append(np.where(count > 0, good, np.nan))  # A bootstrap resample can lack all episodes of a command.
         return np.nanmean(passed, axis=0)
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Return the lowest statistic over commands. The columns are the command's index and the value of each episode."""
+    """Return the lowest value of ``of`` over commands. ``columns`` are each episode's command index and value."""
     cell, value = columns
     with warnings.catch_warnings():
-        # A bootstrap resample can contain no episode of a command, and numpy warns about the mean of an empty array.
+        # A bootstrap resample can lack all episodes of a command, and numpy warns about the mean of an empty array.
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
 
@@ -95,7 +95,7 @@ worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, o
 def highest(columns: Sequence[Array], share: float) -> Array:
     """Return the number of consecutive difficulty levels, from the first, whose success rate is at least ``share``.
 
-    The columns contain the level and the success (1 or 0) of each episode.
+    ``columns`` are the difficulty level and the success (1 or 0) of each episode.
     """
     level, success = columns
     passed, count = np.ones(level.shape[:-1], dtype=bool), np.zeros(level.shape[:-1])
@@ -107,11 +107,11 @@ def highest(columns: Sequence[Array], share: float) -> Array:
     return count
 
 
-# --- functions that select the episodes of a metric ---
+# --- functions that select the episodes that a metric uses ---
 
 
 def everything(rows: Mapping[str, Array]) -> Array:
-    """Return the mask of all episodes of a test."""
+    """Return a mask that selects all episodes of a test."""
     return np.ones(len(rows["test"]), dtype=bool)
 
 
@@ -126,12 +126,12 @@ def still(rows: Mapping[str, Array]) -> Array:
 
 
 def surviving(rows: Mapping[str, Array]) -> Array:
-    """Return the mask of the episodes with a nonzero command that survived to the end."""
+    """Return the mask of the episodes with a nonzero command in which the robot never fell."""
     return moving(rows) & (rows["survived"] == 1.0)
 
 
 def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
-    """Return the mask of the episodes whose value in the column differs from the given value."""
+    """Return the mask of the episodes whose value in a column differs from the given value."""
     return rows[column] != value
 
 
@@ -172,7 +172,7 @@ class Metric:
     rows: Rows = everything
 
     def kept(self, episodes: Mapping[str, Array]) -> Array:
-        """Return the mask of the episodes that the metric uses, (E,) bool."""
+        """Return the mask of the episodes that a metric uses, (E,) bool."""
         mine = np.asarray(episodes["test"] == self.test)
         rows = {name: column[mine] for name, column in episodes.items()}
         kept = self.rows(rows)
@@ -182,7 +182,7 @@ class Metric:
         return mine
 
     def values(self, episodes: Mapping[str, Array]) -> list[Array]:
-        """Return the values of the episodes that the metric uses, (E,) per column."""
+        """Return the values of the episodes that a metric uses, one array (E,) per column."""
         kept = self.kept(episodes)
         return [episodes[name][kept] for name in self.columns]
 
@@ -199,7 +199,7 @@ def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resample
 
 
 def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Figure:
-    """Return a metric with its 95 % percentile bootstrap interval over episodes."""
+    """Return a metric's value over episodes with its 95 % percentile bootstrap interval."""
     columns = metric.values(episodes)
     if not len(columns[0]):
         return Figure(math.nan, math.nan, math.nan, 0, metric.unit, metric.better)
@@ -217,7 +217,7 @@ def percentiles(drawn: Array) -> tuple[float, float]:
 
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return the metrics of a test whose columns exist. The config ``protocol`` has tolerance bands and limits."""
+    """Return a test's metrics whose columns exist, with the tolerance bands and limits of ``protocol``."""
     options = protocol.get(test) or {}
     if test == "walk":
         found = _of_walking(columns, float(options.get("band", 0.1)))
@@ -236,7 +236,7 @@ def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 class Measure(NamedTuple):
-    """A formula for one value per episode, (N,), and its metric. A formula returns None if the value does not exist."""
+    """A formula for one value per episode, (N,), and its metric. A formula returns None if a robot lacks the value."""
 
     column: str
     unit: str
@@ -280,7 +280,7 @@ MOTION = (
 
 
 def measured(motion: Motion, measures: Sequence[Measure] = (*POSTURE, *MOTION)) -> Columns:
-    """Return the columns that the catalogue's formulas compute from the motion of N episodes, (N,) each."""
+    """Return the columns that the formulas of the metric catalogue compute from the motion of N episodes, (N,) each."""
     found = {measure.column: measure.formula(motion) for measure in measures}
     return {name: column for name, column in found.items() if column is not None}
 

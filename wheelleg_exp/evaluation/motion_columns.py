@@ -1,7 +1,7 @@
 """Columns of standing, walking, and stepping episodes: one number per episode.
 
-The columns describe drift, tracking errors on a grid of commands, responses to command steps, and motor effort. The
-class ``Motion`` provides quantities from which ``metric_catalogue`` computes further columns.
+The columns of an evaluation describe drift, tracking errors, responses to command steps, and motor effort. The class
+``Motion`` provides quantities from which ``metric_catalogue`` computes further columns.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from wheelleg_exp.evaluation.protocol_options import Steps, Walk
 from wheelleg_exp.evaluation.trajectories import Trajectories, at, largest, last_exit, mean, rms, slope, total
 
 Columns = dict[str, torch.Tensor]
-_SPEED_HZ = 10.0  # Signal power above this frequency counts as chatter: a robot moves at a few hertz.
+_SPEED_HZ = 10.0  # The frequency above which signal power counts as chatter, because a robot moves at a few hertz.
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of N episodes after the settling time, with quantities that several metrics use.
+    """The motion of N episodes after the settling time, as quantities that several metrics use.
 
-    ``made`` contains the trajectories, ``settle_s`` is the settling time, s, and ``target`` the base's target height,
-    m.
+    ``made`` contains the trajectories of the N episodes, ``settle_s`` is the settling time, s, and ``target`` is the
+    base's target height, m.
     """
 
     made: Trajectories
@@ -35,7 +35,7 @@ class Motion:
 
     @cached_property
     def counted(self) -> torch.Tensor:
-        """The mask of the steps that are used for metrics, (T, N) bool."""
+        """The mask of the control steps that metrics use, (T, N) bool."""
         return self.made.counted(self.settle_s)
 
     @property
@@ -45,7 +45,7 @@ class Motion:
 
     @property
     def duration(self) -> torch.Tensor:
-        """The total duration of the counted steps in each episode, s, (N,)."""
+        """The total duration of each episode's control steps that metrics use, s, (N,)."""
         return self.counted.sum(dim=0) * self.made.dt
 
     @property
@@ -57,29 +57,29 @@ class Motion:
 
     @property
     def weight_distance(self) -> torch.Tensor:
-        """The robot's weight times the length of its path, J, (N,); NaN for a zero command."""
+        """The robot's weight times the length of its path, J, (N,); NaN for an episode with a zero command."""
         drives = (self.made.command[0] != 0.0).any(dim=-1)
         return torch.where(drives, self.parts.mass * self.parts.gravity * self.distance, torch.nan)
 
     @property
     def driven_torque(self) -> torch.Tensor:
-        """The torques of the driven joints at the last physics step of each control step, N·m, (T, N, J)."""
+        """The torques of the joints with motors at the last physics step of each control step, N·m, (T, N, J)."""
         return self.made.torque[..., torch.cat(list(self.parts.groups.values()))]
 
     def mean(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the mean of values (T, N, ...) over the counted steps and all trailing axes, (N,)."""
+        """Return the mean of ``values`` (T, N, ...) over all control steps that metrics use and trailing axes, (N,)."""
         return mean(values, self.counted)
 
     def rms(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the root mean square of values (T, N, ...) over the counted steps and all trailing axes, (N,)."""
+        """Return the RMS of ``values`` (T, N, ...) over all control steps that metrics use and trailing axes, (N,)."""
         return rms(values, self.counted)
 
     def total(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the sum of values (T, N) over the counted steps, (N,)."""
+        """Return the sum of ``values`` (T, N) over all control steps that metrics use, (N,)."""
         return total(values, self.counted)
 
     def largest(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the largest of the values (T, N) over the counted steps, (N,)."""
+        """Return the largest of ``values`` (T, N) over all control steps that metrics use, (N,)."""
         return largest(values, self.counted)
 
     def height_error(self) -> torch.Tensor | None:
@@ -87,28 +87,28 @@ class Motion:
         return None if self.target is None else self.rms(self.made.height - self.target)
 
     def leg_asymmetry(self) -> torch.Tensor | None:
-        """Return the RMS difference between positions of left leg joints and mirrored right leg joints, rad, (N,)."""
+        """Return the RMS difference between the positions of left and mirrored right leg joints, rad, (N,)."""
         parts, joints = self.parts, self.made.joint_pos
         left = len(parts.left)
         return self.rms(joints[..., parts.left] * parts.sign - joints[..., parts.right]) if left else None
 
     def action_change(self, order: int) -> torch.Tensor:
-        """Return the mean absolute time derivative of the given order of the actions, 1/s^order, (N,)."""
+        """Return the mean absolute value of the actions' time derivative of the given order, 1/s^order, (N,)."""
         change, counted = self.made.action.double(), self.counted
         for _ in range(order):
             change, counted = change.diff(dim=0), counted[1:] & counted[:-1]
         return mean(change.abs(), counted) / self.made.dt**order
 
     def torque_change(self) -> torch.Tensor:
-        """Return the RMS change of the driven joints' torques from one control step to the next, N·m, (N,)."""
+        """Return the RMS change of the motor torques from one control step to the next, N·m, (N,)."""
         return rms(self.driven_torque.diff(dim=0), self.counted[1:] & self.counted[:-1])
 
 
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
-    """Return whether each episode survived until the end and until the given times, and its time of failure; (N,) each.
+    """Return whether each robot survived until the end and until ``moments``, s, and its time of failure; (N,) each.
 
-    For an episode without a failure, ``time_to_failure_s`` is the episode length. So the mean of ``time_to_failure_s``
-    is a lower bound of the true mean time to failure.
+    For an episode without a failure, ``time_to_failure_s`` is the episode length. The mean of ``time_to_failure_s`` is
+    a lower bound of the true mean time to failure.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -123,8 +123,8 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 def drift(made: Trajectories, settle_s: float) -> Columns:
     """Return the drift of each robot from its pose at the end of the settling time; (N,) each.
 
-    ``drift_max_m`` is max‖xy - xy(settle)‖. ``drift_speed_m_s`` is the norm of the least-squares slope of xy.
-    ``yaw_drift_rad`` is max|yaw - yaw(settle)|, and ``yaw_drift_rad_s`` is the absolute least-squares slope of the yaw.
+    ``drift_max_m`` is max‖xy - xy(settle)‖. ``drift_speed_m_s`` is the norm of the least-squares slope of xy over time.
+    ``yaw_drift_rad`` is max|yaw - yaw(settle)|, and ``yaw_drift_rad_s`` is the absolute slope of the yaw.
     """
     counted = made.counted(settle_s)
     from_there = made.pos[..., :2] - at(made.pos[..., :2], counted)
@@ -170,7 +170,7 @@ def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Colum
     """Return ``error_wheels_m_s``: the RMS error of the velocity over each wheel; (N,).
 
     A point at a distance y to the left of the base has the commanded velocity v - w y, where v is the commanded speed
-    and w the commanded yaw rate. The result is empty for a robot without a forward direction.
+    and w the commanded yaw rate. ``wheel_error`` returns no column for a robot without a forward direction.
     """
     if parts.wheel_offsets is None:
         return {}
@@ -191,12 +191,12 @@ def errors(made: Trajectories, settle_s: float) -> Columns:
 
 
 def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
-    """Return the steady-state velocity errors, and whether the errors are within the tolerance band; (N,) each.
+    """Return the steady-state velocity errors, and whether they are within the tolerance band; (N,) each.
 
-    ``off_<axis>`` is the absolute error of the mean velocity as a share of the command. For a zero command, the error
-    is a share of the grid's smallest nonzero command. After a fall, the error is inf. ``in_band`` is 1 if the errors of
-    both axes are at most ``options.band``, else 0. ``sign_<axis>`` is 1 if the robot did not fall and moves in the
-    commanded direction, else 0.
+    ``off_<axis>`` is the absolute error of the mean velocity as a share of the command. For a zero command,
+    ``off_<axis>`` is a share of the grid's smallest nonzero command. After a fall, ``off_<axis>`` is inf. ``in_band``
+    is 1 if the errors of both axes are at most ``options.band``, else 0. ``sign_<axis>`` is 1 if the robot did not fall
+    and moves in the commanded direction, else 0.
     """
     found: Columns = {}
     good = ~made.fell
@@ -220,10 +220,9 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     * ``stop_s``: after the step -c → 0, the time until the speed stays below the band;
     * ``stop_distance``: distance after that step along the previous heading, m, or the turned angle, rad.
 
-    ``asked`` is the command c of each episode, (N, 3). The stop columns are NaN unless the robot drove as commanded.
-
-    ``<answer>_did`` is 1 if the time ``<answer>`` exists, else 0. The names of columns end in ``_wz`` for turning and
-    in ``_vx`` for driving.
+    ``asked`` is the velocity command c of each episode, (N, 3). Columns of the stop are NaN if the robot did not drive
+    as commanded before the stop. ``<answer>_did`` is 1 if the time in the column ``<answer>`` exists, else 0. The names
+    of columns end in ``_wz`` for turning and in ``_vx`` for driving.
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
@@ -245,7 +244,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        # The displacement since the stop command, m or rad, (T, N), is positive in the previous direction of motion.
+        # The displacement since the stop command, m or rad, (T, N), is positive if the robot moves on.
         heading = at(yaw, windows[2])
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()
@@ -258,8 +257,8 @@ def group_effort(motion: Motion) -> Columns:
     """Return the RMS torques and the saturation of each actuator group, (N,) each.
 
     ``torque_rms_<group>`` is the RMS torque over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of
-    the torques divided by the joints' effort limits. ``saturation_<group>`` is the share of physics steps at the effort
-    limit, and ``saturation_max_<group>`` is the largest of these shares among the group's joints.
+    the torques divided by the joints' effort limits. ``saturation_<group>`` is the group's mean share of physics steps
+    at the effort limit, and ``saturation_max_<group>`` is the largest share of a single joint.
     """
     columns: Columns = {}
     for name, joints in motion.parts.groups.items():
@@ -274,7 +273,7 @@ def group_effort(motion: Motion) -> Columns:
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
     """Return the share of the spectral power of signals (T, N, J) above 10 Hz, (N,); NaN for episodes that ended early.
 
-    For a constant signal, the share above 10 Hz is 0.
+    For a constant signal, the share of the power above 10 Hz is 0.
     """
     whole = counted[-1]
     begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0

@@ -1,7 +1,7 @@
 """Run a policy in N episodes in parallel, without a reset.
 
-An episode that has ended is still simulated, but its later steps are ignored. The class ``HeldCommand`` sets only the
-values of the task's velocity command, and no other state of the command term.
+The simulation of an ended episode continues, but metrics ignore its steps after the end. The class ``HeldCommand`` sets
+only the values of the task's velocity command, not the remaining state of the command term.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Replaces the random draws of a velocity command by fixed values. Raises ConfigError for any other command."""
+    """Replaces a velocity command's random draws by fixed values. Raises ConfigError for other kinds of terms."""
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
@@ -40,7 +40,7 @@ class HeldCommand:
         return self._term.asked
 
     def hold(self, command: torch.Tensor) -> None:
-        """Set the commanded velocities (N, 3), which resets do not change."""
+        """Set the commanded velocities (N, 3), which a reset of the environment does not change."""
         self._held.copy_(command)
         self._draw(torch.arange(len(command), device=command.device))
 
@@ -53,16 +53,16 @@ Policy = Callable[[Mapping[str, Any]], torch.Tensor]
 Tell = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 
-# An evaluation ends episodes for these reasons, in addition to the task's terminations.
+# The reasons for which an evaluation ends episodes, in addition to the task's terminations.
 FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"
 
 
 class Rollout:
     """Runs policies in fixed scenarios, always from the same start states.
 
-    The environment comes from ``evaluation_env.build`` and simulates one robot per scenario. ``endings`` names the
-    causes that can end an episode: the task's terminations, then the causes that the rollout adds. ``starts`` is the
-    sha256 of the start states and randomised values of the last rollout.
+    The environment of a rollout comes from ``evaluation_env.build`` and simulates one robot per scenario. ``endings``
+    names the causes that can end an episode: the task's terminations, then the causes that the rollout adds. ``starts``
+    is the sha256 of the start states and the randomised values in the last rollout.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
@@ -91,10 +91,10 @@ class Rollout:
 
     @torch.inference_mode()
     def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:
-        """Run a policy from the start states of ``seed`` until the horizon, or until every episode has ended.
+        """Run a policy from the start states of ``seed`` until the scenarios' end, or until every episode has ended.
 
-        The policy maps observations by group to raw actions (N, A). ``tell`` is called with the number of finished
-        steps and the number of all steps. ``disturb`` is called with the step number before each control step.
+        The policy maps observations by group to raw actions (N, A). ``tell`` is called with the numbers of finished
+        steps and of all steps. ``disturb`` is called with the number of each control step, before the step.
         """
         env = self.env
         observations = self.start(seed)
@@ -113,7 +113,7 @@ class Rollout:
             command = self._held.command.clone()
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
-                # Change the command before the step, so that the step's observation contains the new command.
+                # Change the velocity command before a control step, so that its observation contains the new command.
                 self._held.hold(self._commands[:, segment])
             self._meter.begin(step > self._settle_steps)
             observations, *_ = env.step(actions)
@@ -128,10 +128,10 @@ class Rollout:
         return made
 
     def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the mask of the episodes that failed in this step, and the indices of the causes in ``endings``."""
+        """Return the mask of the episodes that failed in the last step, and the failures' indices in ``endings``."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
-        # If a simulation state is NaN or inf, the manager terminates the environment without a termination term.
+        # If a simulation state is NaN or inf, the termination manager ends the episode without a termination term.
         not_finite = manager.terminated & ~manager.fired.any(dim=0)
         not_finite = not_finite | env.scene.unstable()
         failed = manager.terminated | tilted | not_finite | ~numbers

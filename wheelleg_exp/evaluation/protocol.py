@@ -1,4 +1,4 @@
-"""Evaluate a policy by a protocol. Each test of the protocol has its own environment."""
+"""Evaluate a policy in all tests of an evaluation protocol, each test in its own environment."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Subject:
-    """The policy to evaluate, with the task, the protocol, and the seed of the start states."""
+    """The policy to evaluate, with its task, the evaluation protocol, and the seed of the start states."""
 
     env_cfg: Mapping[str, Any]
     mjcf: Path
@@ -50,13 +50,13 @@ class Subject:
         return Rollout(build(cfg, self.mjcf, self.seed), table, self.protocol)
 
     def teller(self, test: str) -> RolloutTell | None:
-        """Return the progress callback for one test of the protocol."""
+        """Return the progress callback for one test of an evaluation protocol."""
         tell = self.tell
         return None if tell is None else lambda done, of: tell(test, done, of)
 
     @property
     def target(self) -> float | None:
-        """The target height of the base, m."""
+        """The target height of the robot's base, m."""
         return target_height(self.env_cfg, self.protocol)
 
 
@@ -71,9 +71,9 @@ def evaluate(
     """Run a policy in the scenarios of an evaluation protocol and compute the protocol's metrics.
 
     ``env_cfg`` and ``protocol`` are config sections as dictionaries. ``make_policy`` takes an environment and returns a
-    policy, which maps observations by group to raw actions (N, A). If the policy has a method ``reset``, the method is
-    called before each rollout. The default ``seed`` is the protocol's seed. ``tell`` is called with the name of the
-    test, the number of finished steps, and the number of all steps.
+    policy, which maps observations by group to raw actions (N, A). Before each rollout, the policy's method ``reset``
+    is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``tell`` is called
+    with the name of a test, the number of finished control steps, and the number of all steps.
     """
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
@@ -189,10 +189,10 @@ def _numbers(columns: Columns) -> dict[str, Array]:
 
 
 def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
-    """Return columns that identify each episode, with the episode's command and cause of its end."""
+    """Return columns with the identity, the command, and the cause of the end of each episode."""
     table = rollout.scenarios
     cell = table.cell_of()
-    # The step test starts with a zero command, so the second command identifies the episode.
+    # Episodes with command steps start with a zero command, so the second command identifies the episode.
     commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {
@@ -227,7 +227,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
 
 
 def joined(parts: list[dict[str, Array]]) -> dict[str, Array]:
-    """Return the rows of several tests in one table. A missing value becomes NaN or an empty text."""
+    """Return one table with the episodes of several tests, in which a missing value is NaN or an empty text."""
     names = list(dict.fromkeys(name for part in parts for name in part))
     found = {}
     for name in names:

@@ -14,7 +14,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Figure:
-    """One metric with its 95 % bootstrap interval over ``episodes`` episodes. The values are NaN without episodes.
+    """One metric with its 95 % bootstrap interval over ``episodes`` episodes; both are NaN without episodes.
 
     ``unit`` is empty for shares and ratios. ``better`` says which values are better: ``higher``, ``lower``, or empty.
     """
@@ -38,10 +38,10 @@ class Evaluation:
     """The result of an evaluation by a protocol.
 
     ``scenarios_sha256`` is the digest of the table of commands and its seed: equal for every policy under one protocol.
-    ``starts_sha256`` maps each test to a digest of the start states and randomised values. If the digests of two
-    evaluations are equal, their episodes form pairs. ``episodes`` contains columns (E,) of numbers or texts, in which a
-    missing number is NaN. ``metrics`` are by ``group/metric``. ``about`` describes the robot, the time steps, and the
-    device.
+    ``starts_sha256`` maps each test to a hash of the start states and randomised values. If two evaluations have equal
+    ``starts_sha256``, their episodes form pairs. ``episodes`` contains columns (E,) of numbers or texts, in which a
+    missing number is NaN. ``metrics`` are by ``group/metric``. ``about`` describes the robot, the control and physics
+    steps, and the device.
     """
 
     protocol: Mapping[str, Any]
@@ -53,12 +53,12 @@ class Evaluation:
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result of the evaluation, without the single episodes, as a dictionary for JSON."""
+        """Return the metrics and properties of an evaluation, without its episodes, as a dictionary for JSON."""
         head = {"format": FORMAT, "protocol": dict(self.protocol), "seed": self.seed}
         digests = {"scenarios_sha256": self.scenarios_sha256, "starts_sha256": dict(self.starts_sha256)}
         metrics = {name: figure.as_dict() for name, figure in self.metrics.items()}
         return {**head, **digests, "about": dict(self.about), "metrics": metrics}
 
     def value(self, metric: str) -> float:
-        """Return the value of a metric. Raise KeyError if the protocol does not contain the metric."""
+        """Return the value of a metric. Raise KeyError if the evaluation does not contain the metric."""
         return self.metrics[metric].value

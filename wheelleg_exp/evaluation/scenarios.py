@@ -17,12 +17,12 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Scenarios:
-    """A table of scenarios with one episode per row. Episodes of the same cell have the same commands.
+    """A table of scenarios with one episode per row. Episodes of one cell (row of ``commands``) have equal commands.
 
-    ``times`` (K,) are the start times of the commands, s, and the first time is 0. ``cells`` (C, K, 3) are the commands
-    of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the cells, and ``episodes`` is the
-    number of episodes in each cell. ``settings`` are further settings of the episodes as text: pushes, tiles, a changed
-    world.
+    ``times`` (K,) are the start times of the K successive commands, s, and the first start time is 0. ``cells`` (C, K,
+    3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the C cells
+    (groups with equal commands), and ``episodes`` is the number of episodes per cell. ``settings`` are further settings
+    of the episodes as text: pushes, tiles, a changed world.
     """
 
     test: str
@@ -47,7 +47,7 @@ class Scenarios:
         return torch.tensor(self.cells)[self.cell_of()]
 
     def digest(self, seed: int) -> str:
-        """Return the sha256 of the scenario table and of the seed of the start states."""
+        """Return the sha256 of the scenario table and the seed of the start states."""
         table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, self.settings, seed]
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
 
@@ -77,7 +77,7 @@ def stepping(options: Steps) -> Scenarios:
 
 
 def pushing(options: Push) -> Scenarios:
-    """Return a table of standing episodes with pushes, one cell for each direction and duration of the push."""
+    """Return a table of standing episodes with pushes, one group (cell) for each push direction and duration."""
     turns = [f"{360.0 * turn / options.directions:g}°" for turn in range(options.directions)]
     names = tuple(f"{turn} over {pulse:g} s" for pulse in options.pulses_s for turn in turns)
     horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
@@ -85,7 +85,7 @@ def pushing(options: Push) -> Scenarios:
 
 
 def on_terrain(options: Terrain) -> Scenarios:
-    """Return a table of episodes that drive straight, one cell for each kind and level of terrain tile."""
+    """Return a table of episodes that drive straight, one group (cell) for each kind and level of terrain tile."""
     kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
     names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
@@ -97,7 +97,7 @@ def on_terrain(options: Terrain) -> Scenarios:
 
 
 def over_strips(options: Strip) -> Scenarios:
-    """Return a table of episodes that drive straight over a strip of rough ground, one cell for each strip."""
+    """Return a table of episodes that drive straight over a strip of rough ground, one group (cell) for each strip."""
     names = tuple(f"{1000.0 * amplitude:g}mm" for amplitude in options.amplitudes)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
     settings, cells = json.dumps(asdict(options), sort_keys=True), ((command,),) * len(names)

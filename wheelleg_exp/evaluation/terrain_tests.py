@@ -1,8 +1,8 @@
 """Tests on rough ground, with their columns: one number per episode.
 
 In the test ``terrain``, each robot drives straight on one terrain tile of a given kind and level. In the test
-``strip``, each robot drives from level ground over a strip of rough ground to level ground, and the motion is measured
-before, on, and behind the strip.
+``strip``, each robot drives from level ground over a strip of rough ground to level ground. The test ``strip`` measures
+the motion before, on, and behind the strip.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _BORDER = 2.0  # level ground, m
 
 
 def tiles(options: Terrain, seed: int) -> dict[str, Any]:
-    """Return a terrain config with one column per kind of tile and one row per level."""
+    """Return a terrain config with one column per kind of terrain tile and one row per difficulty level."""
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # The size of the start area in m does not change, because the floor of a pit does not grow with the tile.
+    # The start area does not grow with the terrain tile, because the floor of a pit does not grow.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -46,7 +46,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
 
 
 def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
-    """Place every robot on the terrain tile of its scenario."""
+    """Place each robot on the terrain tile of its scenario."""
     env = rollout.env
     ground, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
     assert ground.terrain_origins is not None
@@ -58,9 +58,9 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
     """Return the driven distance and the success of each robot, (N,) each.
 
-    ``distance_ratio`` is the distance along the first heading at the last step before a failure, divided by the
+    ``distance_ratio`` is a robot's distance along its first heading at the last step before a failure, divided by the
     commanded distance. ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least
-    ``distance_share``, else 0. ``kind`` and ``level`` identify the terrain tile.
+    ``distance_share``, else 0. The columns ``kind`` and ``level`` identify the terrain tile of each robot.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
     tile = {"kind": (cell // options.levels).double(), "level": (cell % options.levels).double()}
@@ -86,9 +86,9 @@ _STRIP_ROOM = 1.0  # level ground, m
 def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Return a terrain config with one column per strip of rough ground, one row, and a border of level ground.
 
-    The friction is taken from the task's terrain config ``terrain``.
+    The ground has the friction of ``terrain``, the terrain config of the task.
     """
-    # The outermost points have height 0, so that there is no step between the level ground and the rough strip.
+    # The outermost points of a rough strip have height 0, so that the strip has no step to the level ground.
     rim = options.horizontal_scale
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
     way = options.lin_vel_x * options.horizon_s
@@ -124,8 +124,8 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 class Phases(NamedTuple):
     """Masks (T, N) of the steps in which each robot is before, on, and behind the rough strip.
 
-    A robot that rolls back over an edge of the strip stays in the later phase. ``before`` covers the last ``quiet_s``
-    seconds before the strip, in episodes that reach the strip.
+    A robot that rolls back over an edge of the rough strip does not return to the phase before this edge. ``before``
+    covers the last ``quiet_s`` seconds before the rough strip, in episodes whose robot reaches the strip.
     """
 
     before: torch.Tensor
@@ -145,14 +145,14 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 
 
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
-    """Return columns (N,) that describe how each robot crosses the rough strip; NaN if a robot did not reach the strip.
+    """Return columns (N,) that describe how each robot crosses the rough strip; NaN for a robot that did not reach it.
 
-    The function ``ways`` defines ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x - c, where
-    c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between the pitch and its mean before the
-    strip. The mean is subtracted because each robot balances at another pitch. ``recovery_s`` is the time after the
-    strip until the pitch is quiet: its swing over the next ``recovered_s`` seconds is at most ``quiet_factor`` times
-    the swing before the strip, or at most ``quiet_floor``. ``recovered`` is 1 if the robot did not fall and
-    ``recovery_s`` is at most ``within_s``, else 0.
+    The function ``ways`` defines the columns ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x
+    - c, where c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between a robot's pitch and its
+    mean pitch before the rough strip. The mean pitch is subtracted from the pitch, because robots balance at different
+    pitches. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing over the next
+    ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most ``quiet_floor``.
+    ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)
@@ -164,7 +164,7 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
         columns[f"swing_rad_{name}"] = rms(swing, counted)
     limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
     window = max(1, round(options.recovered_s / made.dt))
-    # Differences of cumulative sums are the sums of squares over all sliding windows.
+    # The difference of two cumulative sums of squares is the sum of squares over one sliding window.
     sums = torch.cat((torch.zeros_like(swing[:1]), swing.square().cumsum(dim=0)))
     coming = torch.full_like(swing, torch.nan)
     coming[: made.steps - window + 1] = ((sums[window:] - sums[:-window]) / window).clamp(min=0.0).sqrt()

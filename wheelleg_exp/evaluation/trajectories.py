@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class EffortMeter(SensorBase):
-    """Sums torques and work over all physics steps, so that chatter within a control step is measured.
+    """Sums torques and work over all physics steps, so that metrics include chatter within a control step.
 
-    The environment updates this object like a sensor, but the MuJoCo model contains no such sensor. Power is torque
-    times the mean of the speeds before and after the physics step. The net power excludes I_a q̈, the torque that only
-    accelerates the armature. The work of this torque is exactly the armature's gain of kinetic energy.
+    The environment updates an ``EffortMeter`` like a sensor, but an ``EffortMeter`` is not in the MuJoCo model. Power
+    is a joint's torque times the mean of its speeds before and after the physics step. The net power excludes the
+    torque I_a q̈ that only accelerates the armature, and whose work is exactly the armature's kinetic energy.
 
     An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. A torque below the
-    share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. Over each control
-    step, ``gross``, ``net``, and ``positive`` are sums of work, J, (N,), and ``peak`` is the largest positive power of
-    all joints, W, (N,). For each joint (N, J), ``saturated`` is the number of saturated physics steps, ``squares`` is
-    the sum of squared torques, and ``sign_changes`` counts changes of the torque's sign across the whole dead band.
+    share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. ``gross``, ``net``,
+    and ``positive`` are sums of work over a control step, J, (N,), and ``peak`` is the largest positive power of all
+    joints, W, (N,). For each joint (N, J), ``saturated`` is the number of physics steps at the effort limit,
+    ``squares`` is the sum of squared torques, and ``sign_changes`` counts the changes of the torque's sign.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -42,7 +42,7 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self._of_joints = torch.zeros(4, n, joints, device=env.device)
         self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
-        # Store the number of physics steps in a tensor, so that replays of a CUDA graph increase the number too.
+        # Store the number of physics steps in a tensor, so that replays of a CUDA graph increase this number.
         self._steps = torch.zeros((), device=env.device)
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
@@ -52,18 +52,18 @@ class EffortMeter(SensorBase):
         self._armature = self._data.joint_armature
 
     def begin(self, counted: torch.Tensor | bool) -> None:
-        """Start a control step. ``counted``, one value or (N,), is true if the previous control step counts.
+        """Start a control step. ``counted`` is true for robots whose previous control step is used for metrics.
 
-        Sign changes of the torque after a step that does not count are ignored.
+        If ``counted``, one value or (N,), is false, a change of the torque's sign since the last step is ignored.
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
-        # Set the sign to 0, so that the product of two successive signs shows no sign change in the first counted step.
+        # Set the torque's sign to 0, so that the next physics step does not count as a change of sign.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 
     def update(self) -> None:
-        """Add the torques and the work of the last physics step to the sums."""
+        """Add the torques and the work of the last physics step to the sums over the control step."""
         data = self._data
         torque, before, after = data.applied_torque, data.joint_vel_before, data.joint_vel
         speed = (before + after) / 2
@@ -84,31 +84,30 @@ class EffortMeter(SensorBase):
         self._steps += 1
 
     def shares(self) -> torch.Tensor:
-        """Return the share of the physics steps in which each joint's torque was at the effort limit, (N, J)."""
+        """Return the share of a control step's physics steps in which each joint was at its effort limit, (N, J)."""
         return self.saturated / self._steps.clamp(min=1)
 
     def torque_rms(self) -> torch.Tensor:
-        """Return the RMS torque of each joint over the physics steps of the control step, N·m, (N, J)."""
+        """Return the RMS torque of each joint over the physics steps of a control step, N·m, (N, J)."""
         return (self.squares / self._steps.clamp(min=1)).sqrt()
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Do nothing at a reset, because the sums restart at each control step."""
+        """Do nothing at a reset, because the sums of torques and work restart at each control step."""
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Do nothing, because work is only done during physics steps."""
+        """Do nothing, because motors do work only during physics steps."""
 
 
 @dataclass
 class Trajectories:
-    """T control steps of N episodes, in SI units and radians. Entries after the end of an episode are undefined.
+    """T control steps of N episodes, in SI units and radians. Values after episodes end are undefined.
 
     ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
     root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
-    velocity, both in the base's axes, as velocity commands are. ``torque`` is the joint torque in the last physics step
-    of each control step. ``torque_rms``, ``saturated`` (a share), and ``sign_changes`` cover all physics steps of a
-    control step. ``work`` contains gross, net, and positive mechanical work, and the peak of the positive power.
-    ``fell_at`` is the number, from 1, of the control step in which an episode failed, and ``ended_by`` is the index of
-    the cause.
+    velocity, both in the base's axes. ``torque`` is the joint torque in the last physics step of each control step.
+    ``torque_rms``, ``saturated`` (a share), and ``sign_changes`` cover all physics steps of a control step. ``work``
+    contains gross, net, and positive mechanical work, and the largest positive power. ``fell_at`` is the number, from
+    1, of the control step in which an episode failed, and ``ended_by`` is the index of the failure's cause.
     """
 
     dt: float  # s
@@ -117,7 +116,7 @@ class Trajectories:
     height: torch.Tensor  # (T, N)
     roll: torch.Tensor  # (T, N)
     pitch: torch.Tensor  # (T, N)
-    yaw: torch.Tensor  # (T, N), yaw from -pi to pi
+    yaw: torch.Tensor  # (T, N), from -pi to pi
     vel: torch.Tensor  # (T, N, 3)
     ang: torch.Tensor  # (T, N, 3)
     command: torch.Tensor  # (T, N, 3)
@@ -169,7 +168,7 @@ class Trajectories:
         alive: torch.Tensor,
         force: float,
     ) -> None:
-        """Store the state of all episodes after one control step."""
+        """Store the states of all robots after one control step."""
         data = env.scene.robot.data
         pos, gravity = data.root_pos_w, data.projected_gravity_b
         self.alive[step], self.command[step], self.action[step] = alive, command, action
@@ -188,7 +187,7 @@ class Trajectories:
         self.saturated[step] = meter.shares()
 
     def end(self, step: int, failed: torch.Tensor, why: torch.Tensor) -> None:
-        """Store which episodes failed in a control step, and why. Only the first failure of each episode counts."""
+        """Store the episodes that failed in a control step, with causes; later failures of an episode are ignored."""
         first = failed & (self.fell_at == 0)
         self.ended_by = torch.where(first, why, self.ended_by)
         self.fell_at = torch.where(first, step + 1, self.fell_at)
@@ -200,7 +199,7 @@ class Trajectories:
 
     @property
     def fell(self) -> torch.Tensor:
-        """Whether each episode ended with a failure, (N,) bool."""
+        """A mask of the episodes that ended with a failure, (N,) bool."""
         return self.fell_at > 0
 
     def counted(self, begin_s: float, end_s: float | None = None) -> torch.Tensor:
@@ -212,13 +211,13 @@ class Trajectories:
         return self.alive & window.unsqueeze(1)
 
     def unwrapped_yaw(self) -> torch.Tensor:
-        """Return the yaw without jumps of 2π, rad, (T, N)."""
+        """Return the yaw of each robot over time without jumps of 2π, rad, (T, N)."""
         turns = wrap_to_pi(self.yaw.diff(dim=0)).cumsum(dim=0)
         return self.yaw[:1] + torch.cat((torch.zeros_like(self.yaw[:1]), turns))
 
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the mean of values (T, N, ...) over counted steps and trailing axes, (N,); NaN without counted steps."""
+    """Return the mean of ``values`` (T, N, ...) over the steps in ``counted`` and trailing axes, (N,); or NaN."""
     # Sum in float64, because a float32 sum over a long episode loses precision.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
@@ -227,24 +226,24 @@ def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
 
 
 def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the RMS of values (T, N, ...) over counted steps and trailing axes, (N,); NaN without counted steps."""
+    """Return the RMS of ``values`` (T, N, ...) over the steps in ``counted`` and trailing axes, (N,); or NaN."""
     return mean(values.double().square(), counted).sqrt()
 
 
 def largest(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the largest of the values (T, N) over the counted steps, (N,); NaN without counted steps."""
+    """Return the largest of ``values`` (T, N) over the steps in the mask ``counted``, (N,); NaN without steps."""
     found = torch.where(counted, values.double(), -torch.inf).amax(dim=0)
     return torch.where(counted.any(dim=0), found, torch.nan)
 
 
 def total(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the sum of values (T, N) over the counted steps, (N,); NaN without counted steps."""
+    """Return the sum of ``values`` (T, N) over the steps in the mask ``counted``, (N,); NaN without steps."""
     found = torch.where(counted, values.double(), 0.0).sum(dim=0)
     return torch.where(counted.any(dim=0), found, torch.nan)
 
 
 def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the least-squares slope of values (T, N) over time, per second, (N,); NaN with fewer than two steps."""
+    """Return the least-squares slope of ``values`` (T, N) over time, 1/s, (N,); NaN with fewer than two steps."""
     time = torch.arange(len(values), dtype=torch.float64, device=values.device).unsqueeze(1) * dt
     weight, y = counted.double(), torch.where(counted, values.double(), 0.0)
     steps = weight.sum(dim=0).clamp(min=1)
@@ -254,12 +253,12 @@ def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tenso
 
 
 def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the values (T, N, ...) at the last step before the first counted step, (N, ...)."""
+    """Return the entries of ``values`` (T, N, ...) one step before the mask ``counted`` becomes true, (N, ...)."""
     return values[(counted.int().argmax(dim=0) - 1).clamp(min=0), torch.arange(values.shape[1], device=values.device)]
 
 
 def last_exit(outside: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the time from the first counted step until ``outside`` becomes false for good, s, (N,), or NaN."""
+    """Return the settling time, s, (N,): from the start of ``counted`` until ``outside`` stays false, or NaN."""
     begin = counted.int().argmax(dim=0)
     steps = torch.arange(1, len(outside) + 1, device=outside.device).unsqueeze(1)
     last = torch.where(counted & outside, steps, 0).amax(dim=0)

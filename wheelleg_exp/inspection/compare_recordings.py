@@ -20,7 +20,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 class Parting:
     """The first difference of a number: the control step, the simulated time (s), and both values.
 
-    The attribute ``step`` is None if all common values are equal and one recording has additional rows. The attribute
+    ``step`` is None if all control steps in both recordings have equal values, but one recording has additional rows.
     ``time_s`` is None if the recording contains no simulated times.
     """
 
@@ -35,7 +35,7 @@ class NumberDifference:
     """A recorded number that differs between two rerun recordings.
 
     ``parting`` is the first difference at a control step that both recordings contain. ``largest`` is the largest
-    absolute difference over all common control steps.
+    absolute difference over all control steps that both recordings contain.
     """
 
     name: str
@@ -51,7 +51,7 @@ class RecordingComparison:
     """The result of a bitwise comparison of two rerun recordings.
 
     ``only_first`` and ``only_second`` are the paths of rerun entities that only one of the two recordings contains.
-    ``numbers`` are the recorded numbers that differ, in the order of their first difference.
+    ``numbers`` are the recorded numbers that differ, in the order of the control step at which they first differ.
     """
 
     equal: list[str]
@@ -71,7 +71,7 @@ class RecordingComparison:
 
 
 def compare(first: Recording, second: Recording) -> RecordingComparison:
-    """Compare two rerun recordings bit by bit, without texts, properties, and wall-clock times."""
+    """Compare two rerun recordings bit by bit, except for texts, properties, and wall-clock times."""
     a, b = entity_digests(first.path), entity_digests(second.path)
     different = [entity for entity in a if entity in b and a[entity] != b[entity]]
     numbers: dict[tuple[str, str], NumberDifference] = {}

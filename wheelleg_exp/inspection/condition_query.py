@@ -2,8 +2,8 @@
 
 A condition is an expression in Python syntax with names, numbers, comparisons, ``and``, ``or``, ``not``, ``+ - * /``,
 parentheses, and ``abs(…)``. A condition is never executed as Python code. Names that are invalid in Python, such as
-``joints.left-hip.effort``, must be quoted. A condition that consists of one name is true in rows where the recorded
-number is not zero. A comparison with NaN is always false.
+``joints.left-hip.effort``, must be quoted. A condition that is only the name of a recorded number is true in rows where
+this number is not zero. A comparison with NaN is always false.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 LONGEST = 2000
 DEEPEST = 60
-_SHOWN = 120  # Error messages show at most this number of characters of a condition.
+_SHOWN = 120  # The largest number of characters of a condition in an error message.
 _Operators = dict[type, Callable[[Any, Any], Any]]
 _COMPARE: _Operators = {
     ast.Lt: operator.lt,
@@ -47,7 +47,7 @@ Value = NDArray | float
 
 
 class Condition:
-    """A condition on recorded numbers, parsed from text. The constructor raises WheellegError for invalid text."""
+    """A condition on recorded numbers, parsed from text. ``Condition`` raises WheellegError for invalid text."""
 
     def __init__(self, text: str) -> None:
         self.text, self._tree = text, _parsed(text)
@@ -56,9 +56,9 @@ class Condition:
             raise _wrong(text, "it contains no recorded name")
 
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the rows in which the condition is true.
+        """Return a mask (n,) of the rows in which a condition is true.
 
-        ``values`` maps each name in the condition to an array (n,).
+        ``values`` maps each name in the condition to an array of n values, (n,).
         """
         rows = len(values[self.names[0]])
         with np.errstate(all="ignore"):
@@ -73,7 +73,7 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = "; '==' compares" if "=" in text.replace("==", "").replace("<=", "").replace(">=", "") else ""
         raise _wrong(text, f"it cannot be read ({getattr(error, 'msg', None) or 'too deep'}{hint})") from error
-    # The evaluation of the condition's syntax tree is recursive, so a deep tree would exceed Python's recursion limit.
+    # A condition with a deep syntax tree would exceed Python's recursion limit, because its evaluation is recursive.
     depth, level = 0, [cast("ast.AST", tree)]
     while level:
         depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
@@ -157,8 +157,8 @@ def _wrong(text: str, reason: str) -> WheellegError:
 class Hit:
     """Consecutive recorded frames in which a condition is true.
 
-    ``around`` contains the frames of the hit and the requested frames before and after the hit. ``around`` is None if
-    no surrounding frames were requested.
+    ``around`` contains the frames of a hit and the requested frames before and after the hit. ``around`` is None if no
+    frames before and after a hit were requested.
     """
 
     first: Moment
@@ -177,13 +177,12 @@ def find_hits(
 ) -> list[Hit]:
     """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
-    ``columns`` are the names of the numbers in ``Hit.around``. The default is the numbers in the condition. ``around``
-    is the requested length of time before and after a hit. The surrounding frames of a hit can be outside the
-    selection.
+    ``columns`` are the names of the numbers in ``Hit.around``, by default the numbers in the condition. ``around`` is
+    the length of time before and after a hit that ``Hit.around`` covers, even if it is outside the selection.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all rows of the environment, because the surrounding frames of a hit can be outside the selection.
+    # Read all recorded rows of an environment, because frames before and after a hit can be outside the selection.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

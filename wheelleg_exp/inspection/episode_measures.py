@@ -15,7 +15,7 @@ from wheelleg_exp.recording.reading.arrow_values import as_number
 
 FAILED, TIMED_OUT, UNFINISHED = "failed", "time out", "unfinished"
 TOTAL = "total"
-_AT_LIMIT = 1.0 - 1e-6  # Recorded efforts are float32, so the comparison of effort and effort limit needs a tolerance.
+_AT_LIMIT = 1.0 - 1e-6  # Recorded efforts are float32, so comparing an effort with its limit needs a tolerance.
 _OWN = ("number", "episode.step", "terminated", "truncated")
 _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 
@@ -24,11 +24,11 @@ _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 class Episode:
     """The recorded part of one episode of one environment.
 
-    The pairs of training iterations and of control steps belong to the first and the last recorded frame of the
-    episode. The iterations are None in recordings that are not of a training. ``duration_s`` is the time from the start
-    of the episode to its last recorded frame. ``outcome`` is ``failed``, ``time out``, or, if the episode's end was not
-    recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended the episode.
-    ``total_reward`` is the sum of the recorded rewards.
+    ``iteration`` and ``first_step`` belong to the first recorded frame of an episode, ``last_iteration`` and
+    ``last_step`` to its last recorded frame. ``iteration`` is None unless a training was recorded. ``duration_s`` is
+    the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or, if an episode's end
+    was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended an episode.
+    ``total_reward`` is the sum of all recorded rewards of an episode.
     """
 
     env_id: int
@@ -45,7 +45,7 @@ class Episode:
 
 
 def whole(found: Sequence[Episode]) -> list[Episode]:
-    """Return the complete episodes, which were recorded from start to end. Averages use only these episodes.
+    """Return the episodes that were recorded from start to end; averages use only these complete episodes.
 
     Incomplete episodes would bias averages: an episode that was running when recording started is probably long, and an
     episode that was running when recording stopped has no final sum of rewards.
@@ -91,7 +91,7 @@ class _Marks:
         self._fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
         self._steps: NDArray[np.int64] = ends.column(STEP)
         self._step_dt = view.recording.step_dt or 0.0
-        # Old recordings have no episode counters, and truncated recordings can lack some rows of the counters.
+        # Old recordings have no episode counters, and truncated recordings can lack rows of episode counters.
         own = view.frames("episode", env_id)
         if own is not None and (len(own) != len(ends) or not set(_OWN) <= set(own.names)):
             own = None
@@ -155,8 +155,8 @@ class ForceExtreme:
     """Statistics of the contact force on one body, measured by one contact sensor.
 
     ``largest_n`` is the largest force norm, N: over all physics steps if the recording contains peaks, or else at the
-    ends of control steps. ``mean_n`` is the mean force norm at the end of a control step, N. ``contact_share`` is the
-    share of the frames in which the contact force is not zero.
+    ends of control steps. ``mean_n`` is the mean force norm at the ends of control steps, N. ``contact_share`` is the
+    share of the recorded frames in which the contact force is not zero.
     """
 
     sensor: str
@@ -169,9 +169,9 @@ class ForceExtreme:
 
 @dataclass(frozen=True)
 class EffortUse:
-    """The effort of a joint and its effort limit, N·m or N. ``limit`` is None for an unknown or infinite limit.
+    """The effort of a joint and its effort limit, N·m or N. ``limit`` is None for an unknown or infinite effort limit.
 
-    ``saturated_share`` is the share of frames with the effort at the limit; None if the joint has no effort limit.
+    ``saturated_share`` is the share of frames with the effort at its limit; None if the joint has no effort limit.
     """
 
     joint: str
@@ -185,8 +185,8 @@ class EffortUse:
 class RewardShare:
     """The contribution of one reward term: its mean (1/s), and its sum over the recorded time.
 
-    ``weight`` is the reward term's configured weight; None if the weight was not recorded. ``share`` is the sum of the
-    term's absolute values divided by the sum over all reward terms; None if this sum is 0.
+    ``weight`` is a reward term's configured weight; None if this weight was not recorded. ``share`` is the sum of a
+    reward term's absolute values as a share of all reward terms' sums; None if all sums are 0.
     """
 
     term: str
@@ -197,7 +197,7 @@ class RewardShare:
 
 
 def tracking_errors(view: View) -> list[TrackingError]:
-    """Return the tracking error of every velocity command component that was also recorded as a measured value."""
+    """Return the tracking error of each velocity command component whose measured value was recorded."""
     found = []
     for name in view.names("commands"):
         command, _, part = name.rpartition(".")

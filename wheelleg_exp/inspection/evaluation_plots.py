@@ -20,14 +20,14 @@ Array = np.ndarray[Any, Any]
 Episodes = Mapping[str, Array]
 
 # In a map of survival rates, dark red means failure and pale blue means success.
-# In a map of tracking errors, a pale colour means a small error.
+# In a map of tracking errors, a pale colour means a small tracking error.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # Text is white in dark map cells, beyond this share of the colour map.
+_DARK = 0.4  # The share of the colour map from which the text in a map cell is white.
 _DEGREES = 180.0 / math.pi
 
 
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
-    """Return plot panels by the name of the test. ``episodes`` are the columns of ``Evaluation.episodes``."""
+    """Return plot panels by the name of the test, given the columns ``Evaluation.episodes`` of an evaluation."""
     masks = {test: np.asarray(episodes["test"] == test) for test in _TESTS}
     rows = {
         test: {name: column[mask] for name, column in episodes.items()} for test, mask in masks.items() if mask.any()
@@ -83,7 +83,7 @@ def _of_walking(rows: Episodes) -> list[Panel]:
     def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
         if not _some(rows, name):
             return None
-        # Average tracking errors only over robots that did not fall, because a robot that fell drove only briefly.
+        # Average tracking errors only over robots that did not fall, because a robot that fell drove for a short time.
         counts = np.where(rows["survived"] == 1.0, factor, np.nan) if name.startswith("error") else factor
         if not np.isfinite(rows[name] * counts).any():
             return None
@@ -116,7 +116,7 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
             angles = np.radians([float(name.partition("°")[0]) for name in mine])
             limits = np.array([np.nanmedian(rows["limit_m_s"][rows["cell_name"] == name]) for name in mine])
             angles, limits = np.append(angles, angles[0]), np.append(limits, limits[0])
-            # In the plot, the robot's forward direction points up, and the robot's left side is on the left.
+            # In a plot of push limits, the robot's forward direction is up, and the robot's left side is on the left.
             axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
             largest = max(largest, float(np.nanmax(limits)))
         _rings(axes, largest or 1.0)

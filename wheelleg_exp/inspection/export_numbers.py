@@ -43,14 +43,14 @@ def export(
 ) -> list[Exported]:
     """Write the numbers of a recording: a folder with one file per group, or one file of selected numbers.
 
-    Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, ``env`` if several
-    environments were recorded, and one float64 column per recorded number. Parquet stores the unit of each column in
-    the field's metadata (``unit``), and facts about the recording in the schema's metadata (``wheelleg``). A folder of
+    Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, and ``env`` for
+    several environments. Each recorded number has a float64 column. A Parquet file stores the unit of each column in
+    the field's metadata (``unit``), and the recording's properties in the schema's metadata (``wheelleg``). A folder of
     CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of float64. NaN is
-    written as ``nan``. An empty CSV field means that the number was not recorded at the row's control step.
+    written as ``nan``. An empty CSV field means that a number was not recorded at the row's control step.
 
     If ``terms`` contains dotted names such as ``rewards.base_height``, the numbers are written to one file. The path
-    ``output`` must not exist. A file or folder appears at ``output`` only when all data is written.
+    ``output`` must not exist. A file or folder appears at ``output`` only when its content is complete.
     """
     if kind not in KINDS:
         raise WheellegError(f"'{kind}' is not a supported export format", key="--export", expected=" or ".join(KINDS))
@@ -94,7 +94,7 @@ def encoded(table: pa.Table, kind: str) -> bytes:
 
 
 def units(table: pa.Table) -> dict[str, str]:
-    """Return the unit of each table column by name. Columns without a unit are omitted."""
+    """Return the unit of each table column that has a unit, by the column's name."""
     found = {field.name: (field.metadata or {}).get(b"unit") for field in table.schema}
     return {name: value.decode() for name, value in found.items() if value}
 
@@ -116,7 +116,7 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
 
 
 def _file_name(group: str) -> str:
-    # Escape the name, because a group in another program's recording can have any name, even a path.
+    # Escape the group's name, because a group in another program's recording can have any name, even a path.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 

@@ -38,7 +38,7 @@ def tracking(source: Source) -> list[Panel]:
 
 
 def joints(source: Source) -> list[Panel]:
-    """Return plot panels of each joint's motion and effort, with the target and the effort limit.
+    """Return plot panels of each joint's motion with its target, and of each joint's effort with its limit.
 
     For a training, the panels show only the last recorded sequence of control steps (sample).
     """
@@ -56,7 +56,7 @@ def joints(source: Source) -> list[Panel]:
 
 
 def contact_forces(source: Source) -> list[Panel]:
-    """Return plot panels of the contact force on every body that had contact.
+    """Return plot panels of the contact force on each body that had contact.
 
     For a training, the panels show only the last recorded sequence of control steps (sample).
     """
@@ -66,7 +66,7 @@ def contact_forces(source: Source) -> list[Panel]:
         if series is None:
             continue
         shown, peak = _last(source, series), source.maybe("contacts", sensor, "peak")
-        # Show the peak forces only if the peak forces were recorded at the same control steps as the forces.
+        # Show peak contact forces only if they were recorded at the same control steps as the contact forces.
         if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
             peak = None
         else:
@@ -107,7 +107,7 @@ def terminations(source: Source) -> list[Panel]:
 
 
 def rewards(source: Source) -> list[Panel]:
-    """Return plot panels of the mean weighted value of each reward term, and of the values over time."""
+    """Return plot panels of the mean weighted value of each reward term, and of its weighted value over time."""
     terms = source.weighted()
     if not terms:
         return []
@@ -144,7 +144,7 @@ def with_unit(title: str, entity: str) -> str:
 
 
 def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
-    """Label the axes of a plot panel whose horizontal axis is time."""
+    """Label the axes of a plot panel that shows numbers over time."""
     axes.set_xlabel("time in the sample (s)" if relative else "simulated time (s)")
     axes.set_ylabel(label)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))

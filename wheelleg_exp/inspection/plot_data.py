@@ -37,7 +37,7 @@ class Series:
     names: tuple[str, ...]
 
     def rows(self, which: Any) -> Series:
-        """Return a series that contains only the rows ``which`` of this series."""
+        """Return a series with only the rows ``which`` of the original series."""
         iteration = None if self.iteration is None else self.iteration[which]
         return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
 
@@ -51,7 +51,7 @@ class Series:
 class Sample:
     """Consecutive recorded control steps.
 
-    ``iteration`` is the training iteration at the first of the control steps, or None.
+    ``iteration`` is the training iteration at the sample's first control step, or None.
     """
 
     first: int
@@ -59,7 +59,7 @@ class Sample:
     iteration: int | None
 
     def of(self, series: Series) -> Series:
-        """Return a series that contains only the rows within this sample's control steps."""
+        """Return a series that contains only the rows within the control steps of a sample (recorded sequence)."""
         return series.rows((series.step >= self.first) & (series.step <= self.last))
 
 
@@ -103,7 +103,7 @@ class Source:
     def find(self, term: str) -> str | None:
         """Return the rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
 
-        In the name of a training scalar, the prefix ``training.`` is optional, and slashes can replace dots.
+        The name of a training scalar can omit the prefix ``training.`` and contain slashes instead of dots.
         """
         parts = parts_of(term) if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
@@ -112,7 +112,7 @@ class Source:
         return None
 
     def series(self, entity: str) -> Series:
-        """Return the numbers of an entity. Raise RunDirectoryError if the selected rows have none."""
+        """Return the numbers of a rerun entity. Raise RunDirectoryError if the selected rows contain no numbers."""
         found = self._series(entity)
         if not found.values.size:
             raise RunDirectoryError(f"the selection contains no row of '{entity}' in '{self.recording.path}'")
@@ -129,13 +129,13 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return an entity's numbers in the plotted environment; None if the selected rows contain no numbers."""
+        """Return a rerun entity's numbers in the plotted environment; None if the selected rows contain no numbers."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
 
     def training(self) -> dict[str, tuple[Any, Any]]:
-        """Return the iterations and values of every training scalar, by its key such as ``Loss/value``."""
+        """Return the iterations and values of each training scalar, by the scalar's key such as ``Loss/value``."""
         head = f"{TRAINING}/"
         found: dict[str, tuple[Any, Any]] = {}
         numeric = (e for e in self._entities if e.startswith(head) and is_numeric(self.recording, e))
@@ -148,7 +148,7 @@ class Source:
 
     @property
     def is_training(self) -> bool:
-        """Whether a training wrote the recording."""
+        """Whether a training wrote a recording."""
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
@@ -186,10 +186,7 @@ class Source:
         return np.unique(np.concatenate(steps)) if steps else np.empty(0, dtype=np.int64)
 
     def weighted(self) -> dict[str, Series]:
-        """Return the weighted values of each reward term, 1/s, by the term's name.
-
-        The sum of all reward terms is excluded.
-        """
+        """Return the weighted values of each reward term, 1/s, by the term's name, without the sum of all terms."""
         found = {name: self.maybe("rewards", name) for name in self.below("rewards") if name != "total"}
         return {name: series for name, series in found.items() if series is not None}
 
@@ -219,7 +216,7 @@ def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Nu
 def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
-    """Return the indices of the rows within the selected times and training iterations."""
+    """Return the indices of a series' rows within the selected times and training iterations."""
     if selection.begin is None and selection.end is None and selection.iterations is None:
         return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
@@ -235,7 +232,7 @@ def drawable(values: Any) -> Numbers:
 
 
 def mean_of(values: Any) -> float:
-    """Return the mean of the finite values; 0 if there are none. Values too large for a plot axis are excluded."""
+    """Return the mean of all values that are finite and not too large for a plot axis; 0 if there is no such value."""
     known = drawable(values)
     known = known[np.isfinite(known)]
     return float(known.mean()) if len(known) else 0.0

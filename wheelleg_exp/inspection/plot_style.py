@@ -28,7 +28,7 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
 INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
 FAILED = "#C2410C"
 
-# The colours for progress go from pale (early) to dark (late), and are readable on white and in grey print.
+# Colours for progress from pale (early) to dark (late), which are readable on white paper and in grey print.
 PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
@@ -84,7 +84,7 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "wheelleg",
     "pdf.fonttype": 42,
     "path.simplify": True,
-    "text.parse_math": False,  # Disable math text, because the name of a term can contain a dollar sign.
+    "text.parse_math": False,  # Disable matplotlib's math text, because names can contain a dollar sign.
 }
 
 
@@ -92,7 +92,7 @@ STYLE: Mapping[str, Any] = {
 class Panel:
     """One plot of a figure: its title with the unit, a function that draws into axes, and its height in inches.
 
-    A ``wide`` panel occupies a whole row of the figure. If the figure has a fixed size, the panel's height is ignored.
+    A ``wide`` panel occupies a whole row of the figure. In a figure with fixed size, the panel's height is ignored.
     """
 
     title: str
@@ -103,7 +103,7 @@ class Panel:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Apply this project's plot style inside the block, and restore the previous matplotlib settings afterwards."""
+    """Apply wheelleg_exp's plot style inside a ``with`` block, and restore matplotlib's settings after the block."""
     with mpl.rc_context(rc={**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **STYLE}):
         yield
 
@@ -119,20 +119,20 @@ def _saved(figure: Figure) -> Iterator[None]:
 
 
 def colour(index: int) -> str:
-    """Return the plot colour of the item with the given index, for items whose order has no meaning."""
+    """Return the plot colour of the curve or bar with the given index, if the order of the indices has no meaning."""
     return PALETTE[index % len(PALETTE)]
 
 
 def shades(count: int) -> list[Any]:
-    """Return plot colours from pale (early) to dark (late) for items that are ordered in time."""
+    """Return plot colours from pale (early) to dark (late) for curves that are ordered in time."""
     return [BLUE] if count == 1 else [PROGRESS(i / (count - 1)) for i in range(count)]
 
 
 def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float, float] | None = None) -> Figure:
-    """Return a matplotlib figure with the panels in a grid and a title above the grid.
+    """Return a matplotlib figure with panels in a grid and a title above this grid.
 
-    ``size`` is the width and height of the figure, inches. By default, the width is that of a page, and the height is
-    the sum of the panels' heights.
+    ``size`` is the width and height of the figure, inches. By default, the figure is as wide as a page, and as high as
+    the sum of its panels' heights.
     """
     with styled():
         return _tiled([(title, panels)], size)
@@ -147,8 +147,8 @@ def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
 def figure_svg(figure: Figure) -> str:
     """Convert a matplotlib figure to an SVG document without a date, so that equal figures give equal documents.
 
-    The SVG contains text elements instead of glyph outlines. The root element has a ``viewBox``, so that a page can
-    scale the drawing.
+    The SVG document contains text elements instead of glyph outlines. The root element of the SVG document has a
+    ``viewBox``, so that a web page can scale the drawing.
     """
     with _saved(figure):
         buffer = io.StringIO()
@@ -191,7 +191,7 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return as many panels as fit into a figure. If panels are omitted, the last panel states their number."""
+    """Return as many panels as fit into a figure; if panels are omitted, the last panel states how many."""
     if len(panels) <= _MOST_PANELS:
         return panels
     beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
@@ -209,7 +209,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # Rows with different numbers of panels share one grid, whose number of columns is their least common multiple.
+    # Rows of panels share one grid, whose column number is a multiple of the number of panels in each row.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

@@ -34,11 +34,11 @@ class Moment:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the finite values of one recorded number. The statistics are None if no value is finite.
+    """Statistics of the finite values of one recorded number; None if no value is finite.
 
-    ``count``, ``first_at``, and ``last_at`` also include values that are not finite. The standard deviation has the
-    divisor n. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
-    ``maximum_at`` are the moments at which the minimum and the maximum were first recorded.
+    ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation has the divisor
+    n. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
+    ``maximum_at`` are the moments at which the number's minimum and maximum were first recorded.
     """
 
     count: int
@@ -56,12 +56,12 @@ class Statistics:
     last_at: Moment | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the statistics of the number as a dictionary for JSON."""
+        """Return the statistics of a recorded number as a dictionary for JSON."""
         return asdict(self)
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
-    """Return the statistics of ``values`` (n,). The function ``at`` maps the index of a row to a ``Moment``."""
+    """Return the statistics of n values, (n,). The function ``at`` maps the index of a value to a ``Moment``."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     kept = values[finite]
@@ -96,7 +96,7 @@ class Frames:
 
     @property
     def names(self) -> list[str]:
-        """The names of the recorded numbers in the table."""
+        """The names of the recorded numbers in a table of frames."""
         return [name for name in self.table.column_names if name not in TIMES]
 
     def column(self, name: str) -> NDArray:
@@ -104,7 +104,7 @@ class Frames:
         return np.asarray(self.table.column(name))
 
     def moment(self, row: int) -> Moment:
-        """Return the control step, simulated time, and iteration at which a row was recorded."""
+        """Return the control step, simulated time, and training iteration at which a row was recorded."""
         present = self.table.column_names
         step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMES)
         return Moment(step, time, iteration, self.env_id)
@@ -127,7 +127,7 @@ class View:
         return self.selection.env_ids(self.recording)
 
     def frames(self, group: str, env_id: int) -> Frames | None:
-        """Return the selected rows of a group such as ``rewards`` in one environment; None without numbers."""
+        """Return one environment's selected rows of a group such as ``rewards``; None if the group has no numbers."""
         branch = self.recording.branch(env_id)
         path = f"{branch}/{group}" if branch else group
         if path not in self.recording.groups() and "scalars" not in self.recording.columns(path):
@@ -145,7 +145,7 @@ class View:
         return np.concatenate(parts) if parts else np.empty(0)
 
     def moment(self, group: str, row: int) -> Moment:
-        """Return the control step, simulated time, iteration, and environment of a row in the concatenated values."""
+        """Return the control step, simulated time, iteration, and environment of a row in the result of ``values``."""
         for frames in self._all(group):
             if row < len(frames):
                 return frames.moment(row)
@@ -217,13 +217,13 @@ def number_list(recording: Recording, env_id: int | None = None) -> list[NumberE
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:
-    """Return the units of recorded numbers by name. Numbers without a unit are omitted."""
+    """Return the units of all recorded numbers that have a unit, by the number's name."""
     found = {name: unit(find_number(recording, name, env_id).entity) for name in names}
     return {name: word for name, word in found.items() if word}
 
 
 def term_statistics(recording: Recording, names: Iterable[str], selection: Selection) -> dict[str, Statistics]:
-    """Return statistics of the numbers ``names``, each over the selected rows of all selected environments."""
+    """Return statistics of the numbers ``names`` over the selected rows of all selected environments."""
     return {name: _statistics(recording, name, selection) for name in names}
 
 

@@ -99,7 +99,7 @@ class Arrows:
 class Motion:
     """The recorded poses of the robot's bodies in each of n frames.
 
-    The arrays contain control steps (n,), times in s (n,), training iterations (n,) or None, positions of B bodies in m
+    The attributes are control steps (n,), times in s (n,), training iterations (n,) or None, positions of B bodies in m
     (n, B, 3), and orientations as wxyz (n, B, 4). ``commands`` maps each component of the velocity command to an array
     (n,).
     """
@@ -113,12 +113,12 @@ class Motion:
     commands: Mapping[str, Numbers] = field(default_factory=dict)
 
     def iteration_at(self, row: int) -> int | None:
-        """Return the training iteration of a frame; None if the recording is not of a training."""
+        """Return the training iteration of a recorded frame; None if no training was recorded."""
         return int(self.iteration[row]) if self.iteration is not None and self.iteration[row] >= 0 else None
 
 
 def scene_of(source: Source) -> Scene:
-    """Return the drawable scene of a recording. Raise RunDirectoryError if the recording contains no moving robot."""
+    """Return the drawable scene of a recording. Raise RunDirectoryError for a recording without a moving robot."""
     moving = {STEP, "translation", "quaternion"}
     names = source.children(join(WORLD, source.branch) if source.branch else WORLD)
     entities = {name: entity for name in names if source.recording.has_rows(entity := source_body(source, name))}
@@ -134,12 +134,12 @@ def scene_of(source: Source) -> Scene:
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
-    """Return the recorded motion of a scene. NaN and inf are replaced by the last finite pose.
+    """Return the recorded motion of a scene, in which the last finite pose replaces NaN and inf.
 
-    The function raises RunDirectoryError if the bodies have no common control step.
+    ``motion_of`` raises RunDirectoryError if the bodies have no common control step.
     """
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
-    # Use only common control steps, because a truncated recording can lack the last poses of some bodies.
+    # Use only control steps with poses of all bodies, because a truncated recording can lack the last poses of a body.
     steps = [np.asarray(table.column(STEP)) for table in tables]
     if not all(np.array_equal(own, steps[0]) for own in steps):
         common = reduce(np.intersect1d, steps)
@@ -159,12 +159,12 @@ def motion_of(source: Source, scene: Scene) -> Motion:
 
 
 def source_body(source: Source, name: str) -> str:
-    """Return the rerun entity path of a body."""
+    """Return the rerun entity path of a robot's body."""
     return join(WORLD, source.branch, name)
 
 
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
-    """Return the indices of the frames of a motion that belong to a sample."""
+    """Return the indices of a motion's frames that belong to a sample (recorded sequence of control steps)."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
 
 
@@ -282,7 +282,7 @@ class Camera:
 def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
     """Return a camera that follows the robot in the frames ``rows`` of a motion.
 
-    ``aspect`` is the width of the picture divided by its height.
+    ``aspect`` is the width of a picture divided by its height.
     """
     root = motion.pos[rows, scene.root]
     seen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LOOKED_AT)).round().astype(int)]
@@ -291,7 +291,7 @@ def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: f
     high = np.median([cloud.max(axis=0) for cloud in clouds], axis=0)
     centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
     distance = max(render_scene.camera_distance(cloud - centre, aspect) for cloud in clouds)
-    # Smooth the camera's path only between resets, because a reset moves the robot.
+    # Smooth the camera's path only between resets, because a reset moves the robot to another place.
     cuts = np.flatnonzero(np.linalg.norm(np.diff(root, axis=0), axis=1) > scene.size) + 1
     parts, time = np.split(np.arange(len(root)), cuts), motion.time[rows]
     path = np.concatenate([_gauss(root[part], time[part]) for part in parts if len(part)])

@@ -23,10 +23,10 @@ from wheelleg_exp.rendering.render_scene import AZIMUTH, ELEVATION, Scene
 from wheelleg_exp.rendering.renderer import drawing
 
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
-_FINER = 2  # Pictures are drawn at twice the size and then reduced (supersampling), because this avoids jagged edges.
+_FINER = 2  # Pictures are drawn at twice their size and then reduced (supersampling), to avoid jagged edges.
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # The shortest and the longest drawn arrow, as shares of the robot's height.
+_SHORTEST, _LONGEST = 0.02, 1.2  # Lengths of the shortest and the longest arrow, as shares of the robot's height.
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def scenery(
     """Return the drawable scene and the motion of one recorded environment.
 
     By default, ``env`` is the environment in which the recorded number ``at`` was nonzero first, or else the first
-    environment. If ``iteration`` is given, only this training iteration is searched for ``at``.
+    environment. If ``iteration`` is given, only this training iteration is searched for a nonzero ``at``.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -78,10 +78,10 @@ def screenshot(
 
     ``time_s`` is the simulated time of the picture, s, from the start of the recording or of the training iteration
     ``iteration``. ``at`` is the time as text: ``1.5s``, ``400ms``, ``90steps``, or a number such as
-    ``terminations.base_contact`` for the first time at which the number is nonzero. The default time is the middle of
-    the training iteration, or else of the last sample. The default of ``env`` is the environment in which the number
-    ``at`` was nonzero first, or else the first environment. The function raises WheellegError for an invalid time,
-    size, or path.
+    ``terminations.base_contact`` for the first time at which the number is nonzero. By default, ``at`` is the middle of
+    the training iteration, or else of the last recorded sequence. By default, ``env`` is the environment in which the
+    number ``at`` was nonzero first, or else the first one. ``screenshot`` raises WheellegError for an invalid time,
+    picture size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -107,7 +107,7 @@ def picture(shown: Scenery, row: int, width: int, height: int, *, caption: bool 
 def pictures(
     shown: Scenery, rows: Sequence[int], width: int, height: int, *, caption: bool = False
 ) -> list[NDArray[np.uint8]]:
-    """Return a picture (height, width, 3) of each frame in ``rows``, with a constant distance from camera to robot."""
+    """Return a picture (height, width, 3) of each frame in ``rows``, with a constant camera distance."""
     require_size(width, height)
     finer = _FINER if _FINER * max(width, height) <= _LARGEST else 1
     found: list[tuple[int, Camera]] = []
@@ -145,7 +145,7 @@ def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float)
 
 
 def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None, iteration: int | None = None) -> int:
-    """Return the index of the recorded frame that the arguments select, which ``screenshot`` documents."""
+    """Return the index of the recorded frame that the arguments of ``screenshot`` select."""
     times = shown.motion.time
     everything = np.arange(len(times))
     if at is not None:
@@ -167,7 +167,7 @@ def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None
 
 
 def sample_at(shown: Scenery, iteration: int) -> Sample:
-    """Return the recorded sample of a training iteration. Raise WheellegError if the iteration was not recorded."""
+    """Return the recorded control steps of a training iteration. Raise WheellegError if no step was recorded."""
     motion = shown.motion
     if motion.iteration is not None:
         for sample in shown.samples:

@@ -1,6 +1,6 @@
 """Plots of recordings: single plots by name, pages of plots, and overlays of several recordings.
 
-The plot functions use no global state and need no display. Figures are matplotlib ``Figure`` objects.
+Plots use no global state of matplotlib and need no display. Figures are matplotlib ``Figure`` objects.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
 class Plot:
     """A default figure: its name, its title, and a function that returns its panels, empty without data.
 
-    ``is_of_all`` is true if the figure shows training scalars, which cover all environments. ``is_of_last`` is true if
-    the figure shows only the last recorded sequence of control steps (sample) of a training.
+    ``is_of_all`` is true if a figure shows training scalars, which cover all environments. ``is_of_last`` is true if a
+    figure shows only a training's last recorded sequence of control steps (sample).
     """
 
     name: str
@@ -44,7 +44,7 @@ class Plot:
     is_of_last: bool = False
 
     def heading(self, source: Source) -> str:
-        """Return the figure's title. The title names the environment or sample if there are several."""
+        """Return a figure's title, with the environment or the sample if the recording contains several."""
         is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
@@ -113,7 +113,7 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    If ``terms`` is empty, the purpose of the recordings determines the recorded numbers. The function raises
+    If ``terms`` is empty, the purpose of the recordings determines the recorded numbers. ``overlay`` raises
     RunDirectoryError if the recordings have no number in common.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
@@ -136,7 +136,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def require_path(path: Path) -> str:
-    """Return the image format for a new file. Raise WheellegError if the suffix is unknown or the file exists."""
+    """Return the image format for a new file. Raise WheellegError if the file exists or its suffix is unknown."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in KINDS:
         raise WheellegError(f"'{path}' has no plot suffix", expected="a name that ends with .png, .svg or .pdf")

@@ -24,7 +24,7 @@ from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 class Trend:
     """The course of one training scalar: its first and last value, and its extremes with their iterations.
 
-    ``count`` is the number of training iterations in which the scalar was logged.
+    ``count`` is the number of training iterations in which a scalar was logged.
     """
 
     name: str
@@ -42,10 +42,9 @@ class Trend:
 class Sample:
     """A sample: the episodes of all recorded environments that were recorded in one part of a training.
 
-    The pairs of training iterations and of control steps belong to the first and the last recorded frame. ``episodes``
-    counts the complete episodes, and ``cut`` counts the incomplete episodes. Averages are over complete episodes.
-    ``survival`` is the share of the complete episodes that reached the time-out. All averages are None if there is no
-    complete episode.
+    ``iteration`` and ``first_step`` belong to a sample's first recorded frame, ``last_iteration`` and ``last_step`` to
+    its last frame. ``episodes`` counts the complete episodes, and ``cut`` counts the incomplete episodes. ``survival``
+    is the share of the complete episodes that reached the time-out. Averages are over complete episodes, or None.
     """
 
     iteration: int
@@ -81,8 +80,8 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
     """Group the recorded episodes of a training into samples. ``longest`` is the maximum episode length, steps.
 
-    A sample of an environment starts with the environment's next episode. So the first episodes of all environments in
-    a sample start within the maximum episode length.
+    A sample of an environment starts with its next episode, so the first episodes of all environments in a sample start
+    within ``longest`` steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -116,7 +115,7 @@ def _sample(found: list[Episode]) -> Sample:
 
 @dataclass(frozen=True)
 class Span:
-    """The first and the last recorded value of one timeline. The unit of ``sim_time`` is s."""
+    """The first and the last recorded value of one timeline; the values of the timeline ``sim_time`` are in s."""
 
     first: float
     last: float
@@ -133,7 +132,7 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Statistics of episodes. All attributes but the first four counts cover only complete episodes.
+    """Statistics of episodes, which except for the first four counts cover only complete episodes.
 
     ``begun_before`` is the number of episodes that were running when recording started. ``unfinished`` is the number of
     episodes that were running when recording paused or stopped. In ``ended_by``, an episode with two simultaneous
@@ -157,11 +156,12 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None if another program wrote the recording. ``sample`` is the last sample of a training with a
-    complete episode, and all statistics cover this sample. If the user selected rows, or if the recording is not of a
-    training, ``sample`` is None and all statistics cover the selected rows. ``frames`` contains the number of frames in
-    the statistics and the number of all recorded frames. ``notes`` are messages about the recording itself, such as a
-    size limit that was reached. ``base`` contains statistics of the base's height (m), roll, and pitch (rad).
+    ``purpose`` is None for a recording that another program wrote. ``sample`` is the last sample (recorded sequence) of
+    a training with a complete episode, and all statistics cover ``sample``. If the user selected rows, or if no
+    training was recorded, ``sample`` is None and all statistics cover the selected rows. ``frames`` contains the number
+    of frames that the statistics cover and the number of all recorded frames. ``notes`` are messages about the
+    recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
+    roll, and pitch (rad).
     """
 
     path: str
@@ -188,15 +188,15 @@ class Summary:
     samples: list[Sample]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary of the recording as a dictionary for JSON."""
+        """Return the summary of a recording as a dictionary for JSON."""
         return {**asdict(self), "health": self.health.as_dict()}
 
 
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
-    """Return the summary of a recording. In the summary, data that was not recorded is None or an empty list.
+    """Return the summary of a recording, in which data that was not recorded is None or an empty list.
 
-    Statistics cover the selected rows. The default is all rows, or, for a training, the last sample. The table of
-    contents, the samples, and the training scalars always cover the whole recording.
+    Statistics cover the selected rows. The default selection is all rows, or, for a training, the last sample (recorded
+    sequence). The summary's list of contents, samples, and training scalars always cover the whole recording.
     """
     with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))

@@ -27,7 +27,7 @@ class Target:
 
     @property
     def status(self) -> str | None:
-        """The status of the training run, or None if the file is not the recording of a run's training."""
+        """The status of the training run, or None for a file that is not the recording of a run's training."""
         from wheelleg_exp.run.run_list import effective_status
 
         if self.run is None or self.path.resolve() != self.run.recording.resolve():
@@ -36,16 +36,16 @@ class Target:
 
     @contextmanager
     def resting(self) -> Iterator[None]:
-        """Lock the run directory of the recording inside the block, so that no process can resume the run meanwhile."""
+        """Lock the recording's run directory inside a ``with`` block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
-        # Without write access to the lock file, no lock is needed, because the user cannot resume the run.
+        # A user without write access to the lock file needs no lock, because the user cannot resume the run.
         with ExitStack() as stack:
             if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
                 stack.enter_context(RunLock(run).held())
             yield
 
     def others(self) -> list[Path]:
-        """Return the paths of all recordings of the run, without this recording."""
+        """Return the paths of all other recordings of the run that wrote the target recording."""
         found = recordings_of(self.run) if self.run is not None else []
         return [path for path in found if path.resolve() != self.path.resolve()]
 
@@ -54,8 +54,8 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     """Return the rerun recording that a command-line argument (run or file) names.
 
     The argument is a recording's file, a folder with a recording such as ``<run>/play/<time>``, or a run: its path, its
-    id, or ``latest``. For a run, the function returns the recording of the training, or, if ``play`` is true, the
-    recording of the newest play.
+    id, or ``latest``. For a run, ``find_target`` returns the recording of the training, or, if ``play`` is true, of the
+    newest play.
     """
     path = Path(word)
     if path.exists() and not names_a_run(word):
@@ -81,7 +81,7 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
 def names_a_run(word: str | Path) -> bool:
     """Return whether a command-line argument names a run.
 
-    An argument that is not a path is treated as the id of a run.
+    A command-line argument that is not a path is treated as the id of a run.
     """
     path = Path(word)
     return not path.exists() or (path.is_dir() and (path / MANIFEST_NAME).is_file())
@@ -121,6 +121,6 @@ def _run_around(path: Path) -> RunDirectory | None:
         if (folder / MANIFEST_NAME).is_file():
             try:
                 return RunDirectory.open(folder, folder.parent)
-            except WheellegError:  # The run directory is damaged, but its recording can still be readable.
+            except WheellegError:  # A damaged run directory can contain a readable recording.
                 return None
     return None

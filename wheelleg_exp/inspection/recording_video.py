@@ -52,12 +52,12 @@ def video(
     caption: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Video:
-    """Write a video of the recorded robot atomically to a file: H.264 in .mp4, which browsers can play.
+    """Write a video of the recorded robot atomically to a file: H.264 in an .mp4 file, which browsers can play.
 
     By default, the video shows the first environment: a few samples of a training in sequence, or all frames of a play
     or evaluation. ``speed`` is simulated seconds per second: 0.25 is slow motion. ``width`` and ``height`` of the video
     are even numbers of pixels. ``progress`` is called with the number of finished video frames and the total number of
-    video frames. The function raises WheellegError for an invalid argument.
+    video frames. ``video`` raises WheellegError for an invalid argument.
     """
     path = Path(path)
     if path.suffix.lower() not in video_file.KINDS:
@@ -102,7 +102,7 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
         expected = f"at most {_MOST_PICTURES}: --from, --to, --speed"
         raise WheellegError(f"the video would have too many frames: {count}", expected=expected)
     moments = time[0] + np.arange(count) * speed / fps
-    # The small offset compensates for rounding errors in the recorded simulated times.
+    # Add a small offset that compensates for rounding errors in the recorded simulated times.
     return np.asarray(rows[np.clip(np.searchsorted(time, moments + 1e-9, side="right") - 1, 0, len(rows) - 1)])
 
 

@@ -39,13 +39,13 @@ _CAUSES = (
     "panic",
     "error",
     "failed",
-)  # The viewer's line about a failure contains such a word.
+)  # the words in a line with which rerun's viewer reports a failure
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Start rerun's viewer without network access. Yield the viewer's process and the file with the viewer's output."""
+    """Start rerun's viewer without network access. Yield the viewer's process and its output file."""
     command = [rerun_program(), "--bind", LOOPBACK, *arguments]
     with (
         tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder,
@@ -87,7 +87,7 @@ Files = Mapping[str, tuple[str, bytes]]
 
 
 class WebViewer:
-    """A local web server for rerun's web viewer and one recording. Port 0 means a free port."""
+    """A local web server for rerun's web viewer and one recording, by default at a free port."""
 
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
@@ -149,7 +149,7 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        pass  # Ignore a closed connection, because a browser can close the connection at any time.
+        pass  # Ignore a closed connection, because a browser can close its connection at any time.
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -171,17 +171,17 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, *, with_body: bool) -> None:
         _, port = cast("tuple[str, int]", self.server.server_address)
         if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
-            self._reply(HTTPStatus.FORBIDDEN)  # Reject other host names to prevent DNS rebinding.
+            self._reply(HTTPStatus.FORBIDDEN)  # Reject host names except loopback names, to prevent DNS rebinding.
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            # Redirect to the URL that shows the recording in rerun's web viewer.
+            # Redirect the browser to the URL that shows the recording in rerun's web viewer.
             page = f"http://{self.headers['Host']}/"
             query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
             self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
         elif address.path == RECORDING and self._recording.is_file():
             with self._recording.open("rb") as file, suppress(ConnectionError):
-                # Send a fixed number of bytes, because a training can append to the recording meanwhile.
+                # Send a fixed number of bytes, because a training can append to the recording during the transfer.
                 left = file.seek(0, 2)
                 file.seek(0)
                 self._reply(ok, {"Content-Type": "application/octet-stream", **_HEADERS}, left)
@@ -225,8 +225,8 @@ def has_display() -> bool:
 def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
     """Serve a recording in rerun's web viewer on the loopback address, until Ctrl-C raises KeyboardInterrupt.
 
-    The function ``say`` prints a line for the user. The first printed line ends with the URL. Port 0 means a free port.
-    If ``browser`` is true, an installed browser opens the URL.
+    The function ``say`` prints lines for the user, of which the first ends with the viewer's URL. The port 0 means a
+    free port. If ``browser`` is true, an installed browser opens the viewer's URL.
     """
     with WebViewer(path, port) as running:
         say(f"the viewer is at {running.url}")
@@ -239,8 +239,8 @@ def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: boo
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
     """Write a screenshot of a recording in rerun's viewer atomically to a file.
 
-    ``time_s`` is the simulated time to show, s. None means the viewer's default time. Without a Vulkan driver, the
-    function raises NoGraphics, whose message names the packages to install.
+    ``time_s`` is the simulated time to show, s; None shows the viewer's default time. Without a Vulkan driver,
+    ``viewer_screenshot`` raises NoGraphics, whose message names the packages to install.
     """
     if output.suffix.lower() != ".png":
         raise WheellegError(f"'{output}' has no image suffix", expected="a name that ends with .png")
@@ -256,7 +256,7 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # Without a driver, the viewer answers and then stops.
+            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, rerun's viewer answers and then stops.
                 process.wait(_ENDING_S)
             if process.returncode is not None:
                 raise _no_graphics(log) from error
@@ -284,7 +284,7 @@ def _no_graphics(output: IO[bytes]) -> NoGraphics:
 
 
 def _still(client: Any) -> bytes:
-    """Wait until two consecutive screenshots are equal, because the viewer loads data over several frames."""
+    """Wait until two consecutive screenshots are equal, because rerun's viewer loads data over several frames."""
     now = bytes(client.take_screenshot())
     for _ in range(_STILL):
         time.sleep(_SETTLE_S)

@@ -33,7 +33,7 @@ _BALL, _ROD = 0.025, 0.006  # The radii of the markers' spheres and rods are sha
 
 
 def require_picture(path: Path) -> None:
-    """Raise RunDirectoryError if the picture's path does not end with .png or the file already exists."""
+    """Raise RunDirectoryError if a picture's path does not end with .png or its file already exists."""
     if path.suffix.lower() != ".png":
         expected = "a name that ends with .png"
         raise RunDirectoryError(f"'{path}' has no image suffix", key="--screenshot", expected=expected)
@@ -57,7 +57,7 @@ def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
     distance = render_scene.camera_distance(cloud - lookat, _WIDTH / _HEIGHT)
     base = robot.model.body(robot.anatomy.base).id
     left = robot.data.xmat[base].reshape(3, 3) @ np.array(robot.anatomy.left or (0.0, 1.0, 0.0))
-    # In the side view, the camera looks to the robot's left, so that the robot faces right in the picture.
+    # In the view from the side, the camera looks to the robot's left, so that the robot faces right.
     side = float(np.degrees(np.arctan2(left[1], left[0])))
     pictures = []
     with drawing(Order(scene, _FINER * _WIDTH, _FINER * _HEIGHT, _SAMPLES)) as process:
@@ -86,7 +86,7 @@ def _colliders(robot: CompiledRobot) -> list[Shape]:
 
 
 def _marks(robot: CompiledRobot) -> list[Shape]:
-    """Return markers for the centre of mass, its plumb line, the wheels' contact points, and the support polygon."""
+    """Return a robot's markers: centre of mass, its plumb line, contact points of the wheels, and support polygon."""
     model, data, anatomy = robot.model, robot.data, robot.anatomy
     base, size = model.body(anatomy.base).id, anatomy.size
     frame, origin = data.xmat[base].reshape(3, 3), data.xpos[base]

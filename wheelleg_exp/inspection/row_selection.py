@@ -37,7 +37,7 @@ class Length:
 
 
 def parse_length(text: str, key: str) -> Length:
-    """Parse a length of time from text. A number without a unit is in seconds."""
+    """Parse a length of time from text, in seconds if the text has no unit."""
     match = _WORDS.fullmatch(text)
     if match and match.group(2) in (*_SECONDS, *_STEPS) and math.isfinite(float(match.group(1))):
         value, unit = float(match.group(1)), match.group(2)
@@ -50,8 +50,8 @@ def parse_length(text: str, key: str) -> Length:
 class Selection:
     """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
-    An attribute that is None does not restrict the selection. A time bound is moved to the nearest control step, so
-    that users can enter rounded times.
+    An attribute that is None does not restrict the selection. The bounds of the time are moved to the nearest control
+    step, so that users can enter rounded times.
     """
 
     env_id: int | None = None
@@ -61,7 +61,7 @@ class Selection:
 
     @property
     def is_all(self) -> bool:
-        """Whether the selection contains every row of the recording."""
+        """Whether a selection contains all rows of the recording."""
         return self == Selection()
 
     def env_ids(self, recording: Recording) -> list[int]:
@@ -85,16 +85,16 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether the selection contains a row with the given control step, time, and iteration."""
+        """Return whether the selection contains a row with the given control step, time, and training iteration."""
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
-        except WheellegError:  # The row has no value on the timeline by which the selection is restricted.
+        except WheellegError:  # A row without a time is outside a selection of times, and likewise for iterations.
             return False
 
 
 def nothing_chosen(recording: Recording) -> WheellegError:
-    """Return the error for a selection that contains no row. The message states the recorded range."""
+    """Return the error for a selection that contains no row, whose message states the recorded range."""
     words = {SIM_TIME: "times from {:.3f} to {:.3f} s", STEP: "steps {:.0f} to {:.0f}"}
     words[ITERATION] = "iterations {:.0f} to {:.0f}"
     spans = [text.format(*reach) for name, text in words.items() if (reach := recording.reach(name)) is not None]
@@ -118,7 +118,7 @@ def _half_step(table: pa.Table) -> float:
 
 
 def parse_iterations(text: str) -> tuple[int, int]:
-    """Parse training iterations such as ``50`` or ``50-60``. Return the first and the last iteration."""
+    """Parse training iterations such as ``50`` or ``50-60``, and return the first and the last iteration."""
     first, _, last = text.partition("-")
     if first.isdecimal() and (last.isdecimal() or text == first):
         if last and int(last) < int(first):

@@ -18,7 +18,7 @@ _SMOOTHED_FROM = 60
 _WINDOWS = 40
 _LOG_FROM = 50.0  # The axis of a curve is logarithmic if the curve's largest value is over 50 times its smallest value.
 _SHOWN_TERMS = 7
-# The training report draws one curve for each of these scalars, and tracking errors after the second curve.
+# The training scalars of the training report, one curve each; the curves of tracking errors follow the second curve.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -29,8 +29,8 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# Training scalars with these prefixes are tracking errors of commands.
-# The training report uses only the first of the prefixes that the training logged.
+# The prefixes of training scalars that are tracking errors of commands.
+# If a training logged several of the prefixes, the training report uses only the first.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
@@ -51,7 +51,7 @@ def endings(scalars: Scalars) -> list[Panel]:
     shown = [name for name in order if np.any(np.asarray(causes[name][1]) != 0)] or order[:1]
 
     def draw(axes: Axes) -> None:
-        # The shares are not stacked, because an episode with two simultaneous terminations counts for both terms.
+        # Do not stack the terms' shares, because an episode with two simultaneous terminations counts for both terms.
         for i, name in enumerate(shown):
             draw_curve(axes, *causes[name], colour(i), name)
         over_iterations(axes)
@@ -63,10 +63,10 @@ def endings(scalars: Scalars) -> list[Panel]:
 
 
 def reward_course(scalars: Scalars) -> list[Panel]:
-    """Return plot panels of the weighted reward terms over the training, and of their last values.
+    """Return plot panels of the weighted reward terms over the training, and of the reward terms' last values.
 
     The training scalar of a reward term is the sum over an episode, divided by the maximum episode duration. If
-    episodes end early, the scalar is smaller than the recorded reward per second.
+    episodes end early, the training scalar of a reward term is smaller than the recorded reward per second.
     """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
@@ -112,7 +112,7 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 
 
 def smooth(values: Numbers) -> Numbers:
-    """Return a centred moving mean. The window is a fortieth of the rows, and shorter at the two ends."""
+    """Return a centred moving mean, whose window is a fortieth of the rows, and shorter at the first and last rows."""
     half = max(1, len(values) // _WINDOWS // 2)
     known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
@@ -124,7 +124,7 @@ def smooth(values: Numbers) -> Numbers:
 
 
 def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
-    """Draw a curve over iterations. A curve with many points is pale, and its moving mean is drawn on top."""
+    """Draw a curve over training iterations; a curve with many points is pale, below a curve of its moving mean."""
     values = drawable(y)
     if len(values) >= _SMOOTHED_FROM:
         axes.plot(x, values, color=shade, linewidth=0.8, alpha=0.3)
@@ -134,7 +134,7 @@ def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None,
 
 
 def over_iterations(axes: Axes, label: str = "") -> None:
-    """Label the axes of a plot panel whose horizontal axis is the training iteration."""
+    """Label the axes of a plot panel that shows numbers over training iterations."""
     axes.set_xlabel(ITERATIONS)
     axes.set_ylabel(label)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))

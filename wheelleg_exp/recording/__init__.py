@@ -12,5 +12,5 @@
 import os
 
 # rerun reads the variable RUST_LOG when Python imports rerun.
-# A recording that is still being written has no index, and rerun would warn about each file without an index.
+# A recording has no index until it is closed, and rerun would warn about each recording without an index.
 os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")

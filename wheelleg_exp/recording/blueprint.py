@@ -1,7 +1,6 @@
 """The layout of rerun's viewer: the robot on the left, plots and texts on the right.
 
-The viewer first shows the learning curves for a training, the robot's motion for a play, and the metrics for an
-evaluation.
+The viewer first shows the learning curves of a training, the robot's motion of a play, or the metrics of an evaluation.
 """
 
 from __future__ import annotations
@@ -51,10 +50,10 @@ class EnvLayout:
 def blueprint(
     envs: Sequence[EnvLayout], purpose: Purpose, *, documents: Sequence[str], training: Sequence[str]
 ) -> rrb.Blueprint:
-    """Return the layout of rerun's viewer. The viewer's camera follows the robot of the first environment.
+    """Return the layout of rerun's viewer, in which the camera follows the robot of the first environment.
 
     ``purpose`` (training, play, or evaluation) determines the first tab of the viewer. ``documents`` are the names of
-    the recorded texts, and ``training`` the keys of the recorded training scalars.
+    the recorded texts, and ``training`` are the keys of the recorded training scalars.
     """
     tabs = [tab for env in envs for tab in _env_tabs(env, several=len(envs) > 1)]
     if purpose == "training":
@@ -74,7 +73,7 @@ def blueprint(
 
 
 def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
-    """Return the viewer's 3D view. The camera follows the first robot, and collision shapes are hidden."""
+    """Return the 3D view of rerun's viewer; its camera follows the first robot, and collision shapes are hidden."""
     size, root = envs[0].size, envs[0].root
     distance = size * (1.0 + 0.6 * (len(envs) - 1))
     position, target, up = [1.3 * distance, -1.45 * distance, 1.1 * distance], [0.0, 0.0, 0.4 * size], [0.0, 0.0, 1.0]
@@ -95,7 +94,7 @@ def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
 def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
     data = env.paths.data
     joints = []
-    # Draw one plot per joint, because small tracking errors are invisible in a plot of joints at distant positions.
+    # Draw one plot per joint, because a plot of joints at very different positions hides small tracking errors.
     for joint, is_held in env.joints.items():
         kind, unit = ("position", "rad") if is_held else ("velocity", "rad/s")
         parts = (data("joints", joint, part) for part in (kind, f"{kind}_target"))

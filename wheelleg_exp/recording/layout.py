@@ -15,7 +15,7 @@ OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
 LOG = "log"
-HIDDEN = "__"  # rerun's viewer hides every entity whose path starts with two underscores.
+HIDDEN = "__"  # rerun's viewer hides each entity whose path starts with two underscores.
 PROPERTIES = "__properties"
 OWN = "wheelleg"  # A recording stores its properties under the name `wheelleg`.
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
@@ -56,12 +56,12 @@ def join_key(root: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """The rerun entity paths of one recorded environment. The prefix ``branch`` is empty if there is only one."""
+    """The rerun entity paths of one recorded environment. ``branch`` is empty if only one environment is recorded."""
 
     branch: str
 
     def data(self, *parts: str) -> str:
-        """Return the rerun entity path of recorded numbers or texts of the environment."""
+        """Return the rerun entity path of recorded numbers or texts of an environment."""
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:

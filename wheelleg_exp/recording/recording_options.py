@@ -9,7 +9,7 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """The config section ``recording``. An option has a default only if old runs lack the option.
+    """The config section ``recording``. An option that the configs of old runs lack has a default.
 
     Attributes:
         enabled: whether a recording is written.
@@ -34,8 +34,8 @@ class RecordingOptions:
 class Sample:
     """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    A sample starts with the next episode, and ends with the episode in which the sample reaches the requested number of
-    steps. The state of a sample follows from the recorded steps, so checkpoints do not contain the state of a sample.
+    A sample starts with the next episode, and ends with the episode in which it reaches the requested number of control
+    steps. Checkpoints do not contain a sample's state, because this state follows from the recorded steps.
     """
 
     def __init__(self) -> None:
@@ -44,11 +44,11 @@ class Sample:
         self._is_in_episode = False
 
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
-        """Start or resume a sample of which ``taken`` control steps are already recorded.
+        """Start or resume a sample (recorded episodes), of which ``taken`` control steps are already recorded.
 
-        After ``enough`` recorded control steps, no further episode is recorded. The value 0 records nothing. After
-        ``most`` recorded control steps, the current episode is truncated. ``is_in_episode`` is true if the current
-        episode is being recorded.
+        After ``enough`` control steps, a sample ends with the current episode; if ``enough`` is 0, a sample is empty.
+        After ``most`` control steps, a sample ends within an episode. ``is_in_episode`` is true if the current episode
+        is being recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0
@@ -60,6 +60,6 @@ class Sample:
         return self._is_in_episode
 
     def took(self, *, ends: bool) -> None:
-        """Count a recorded control step. ``ends`` is true if the episode ended with this control step."""
+        """Count a recorded control step. ``ends`` is true if the control step ended the episode."""
         self._taken += 1
         self._is_in_episode = not ends

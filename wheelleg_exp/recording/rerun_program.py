@@ -1,6 +1,6 @@
 """Run rerun's command-line program, which rewrites recordings.
 
-A rewritten recording has a few large data chunks instead of thousands of small chunks, and has an index at the end.
+A rewritten recording has a few large data chunks instead of thousands of small chunks, and ends with an index.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LONGEST_REASON = 200
 
 
 def rerun_program() -> str:
-    """Return the path of rerun's executable, not of the Python script that starts the executable."""
+    """Return the path of rerun's executable, not of the Python script that starts it."""
     package = importlib.util.find_spec("rerun_cli")
     if package is not None and package.origin is not None:
         program = Path(package.origin).with_name("rerun")
@@ -32,7 +32,7 @@ def rerun_program() -> str:
 def run_rerun(*words: str) -> tuple[str | None, list[str]]:
     """Run ``rerun rrd`` with arguments.
 
-    Return the reason of the program's failure, or None, and the lines of the program's log.
+    Return the reason why rerun's program failed, or None, and the lines of rerun's log.
     """
     command = [rerun_program(), "rrd", *words]
     try:
@@ -48,10 +48,10 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 
 
 def optimize_recording(path: Path) -> str | None:
-    """Compress a closed recording to about a third of its size. Return the reason of a failure, or None.
+    """Compress a closed recording to about a third of its size. Return the reason why compression fails, or None.
 
-    The recorded values do not change. The compressed file atomically replaces the original file. If the disk is full or
-    rerun's program is missing, the recording remains unchanged and without an index.
+    Compression does not change the recorded values. The compressed file atomically replaces the original file. If the
+    disk is full or rerun's program is missing, the recording remains unchanged and without an index.
     """
     rewritten = temporary_name(path)
     try:

@@ -3,16 +3,16 @@
 rerun's SDK encodes and decodes the messages themselves.
 
 An rrd file consists of a header of 12 bytes and messages. A message consists of a kind (u64), a length (u64), and the
-number of bytes that the length states. A closed file ends with a message that contains an index, and 32 bytes that
-contain the position of the index.
+number of bytes that the length states. A closed rrd file ends with a message that contains an index, and with 32 bytes
+that contain the index's position.
 
-To extend a recording, the SDK writes a temporary file, whose messages, without the index, are appended to the
+To extend a recording, rerun's SDK writes a temporary file, whose messages, without the index, are appended to the
 recording. Measured with rerun 0.41:
 
 - The SDK's own file stream leaves two threads and about 1 MB in the process for ever, and never returns when the
   disk is full. ``write_rrd`` does neither. The SDK's function ``write_rrd`` takes 9 ms for 16 rows of 60 entities.
 - The SDK's reader raises an error for a truncated file. rerun's reader terminated the process for 4 of 300 damaged
-files without an index, and for none of 400 damaged files with an index. So rerun's own program first rewrites files
+files without an index, and for none of 400 damaged files with an index. rerun's own program first rewrites recordings
 that have no index.
 """
 
@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 MAGIC = b"RRF2"
 HEADER_SIZE = 12
-SERIALIZER_AT, PROTOBUF = 9, 2  # Byte 9 of the header states the encoding of the messages, and 2 means protobuf.
+SERIALIZER_AT, PROTOBUF = 9, 2  # Byte 9 of an rrd file states the encoding of its messages; 2 means protobuf.
 INDEX, STORE_INFO, ROWS, BLUEPRINT_ACTIVATION = range(4)
 APPLICATION = "wheelleg"
 
@@ -53,11 +53,11 @@ class RrdFile:
         self.size = os.fstat(self._descriptor).st_size
 
     def refresh(self) -> None:
-        """Read the current file size, because another process can append to the file."""
+        """Read the current size of the rrd file, because another process can append to this file."""
         self.size = os.fstat(self._descriptor).st_size
 
     def read(self, begin: int, end: int) -> bytes:
-        """Return the bytes of the file from ``begin`` to ``end``, or fewer bytes if the file has been truncated."""
+        """Return the bytes of the rrd file from ``begin`` to ``end``, or up to the end of a truncated file."""
         return os.pread(self._descriptor, end - begin, begin)
 
     @property
@@ -66,7 +66,7 @@ class RrdFile:
         return self.read(0, HEADER_SIZE)
 
     def messages(self, begin: int = HEADER_SIZE) -> Iterator[Message]:
-        """Yield the complete messages from an offset up to the file's index or first incomplete message."""
+        """Yield the complete messages of the rrd file from an offset up to the index or an incomplete message."""
         while begin + _HEAD.size <= self.size:
             head = self.read(begin, begin + _HEAD.size)
             if len(head) < _HEAD.size:
@@ -81,13 +81,13 @@ class RrdFile:
             begin = end
 
     def is_closed(self, last: Message | None) -> bool:
-        """Return whether the rrd file ends with an index. ``last`` is the last complete message of the file."""
+        """Return whether the rrd file ends with an index. ``last`` is the last complete message of the rrd file."""
         if last is None or last.kind != INDEX or self.size - last.end != _FOOTER_SIZE:
             return False
         return _FOOTER_MARK in self.read(last.end, self.size)
 
     def is_followed_by_damage(self, last: Message | None) -> bool:
-        """Return whether the bytes after the last complete message cannot be the start of a valid message."""
+        """Return whether the bytes after the rrd file's last complete message cannot be the start of a message."""
         begin = HEADER_SIZE if last is None else last.end
         rest = self.read(begin, begin + _FOOTER_SIZE + 1)
         if last is not None and last.kind == INDEX:
@@ -107,7 +107,7 @@ def encoded_header() -> bytes:
 
 
 def encoded_chunks(chunks: Iterable[Any], recording_id: str) -> bytes:
-    """Encode data chunks as messages of one recording. Raise OSError if a temporary file cannot be written."""
+    """Encode data chunks as rrd messages of one recording. Raise OSError if a temporary file cannot be written."""
     return b"".join(_chunk_file(chunks, recording_id).body())
 
 

@@ -1,4 +1,4 @@
-"""Adapt environments to rsl_rl, train policies, store checkpoints of the complete state, and export policies.
+"""Adapt environments to rsl_rl, train and export policies, and store checkpoints with all state of a training.
 
 | module | content |
 |---|---|

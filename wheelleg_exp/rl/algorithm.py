@@ -1,4 +1,4 @@
-"""Build rsl_rl's algorithm and networks from the config section ``agent``, and reject invalid sections."""
+"""Build rsl_rl's algorithm and networks from the config section ``agent``, and reject invalid config values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_m
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-# rsl_rl does not know these keys of the config section `agent`.
+# rsl_rl does not know the following keys of the config section `agent`.
 OWN_KEYS = (
     *("device", "torch_threads", "matmul", "graph_update", "max_iterations", "average_iterations"),
     *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint"),
@@ -31,7 +31,7 @@ OWN_KEYS = (
 
 
 def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
-    """Build rsl_rl's algorithm from the config section ``agent``. Raise ConfigError for an invalid value."""
+    """Build rsl_rl's algorithm from the config section ``agent``. Raise ConfigError for an invalid config value."""
     observations = env.get_observations()
     for role, groups in agent["obs_groups"].items():
         for group in groups:
@@ -53,7 +53,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
         _require_memory(env, observations, agent)
     options = options_of(agent)
     env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), str(agent["device"]))
-    # Copy the config, because rsl_rl changes the config. Redirect stdout, because rsl_rl prints the networks.
+    # Copy the config section, because rsl_rl changes it. Redirect stdout, because rsl_rl prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
     make_classes_importable(config)
@@ -69,7 +69,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
-    """Return an object that mirrors every second environment; None if ``agent.symmetry.mirrored_envs`` is not set."""
+    """Return an object that mirrors every second environment; None unless ``agent.symmetry.mirrored_envs`` is true."""
     options = options_of(agent)
     if options is None or not options.mirrored_envs:
         return None
@@ -103,7 +103,7 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
         hidden = agent[role].get("hidden_dims") or []
         layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))
-        # Each weight, its gradient, and its two running means in Adam take 16 bytes together.
+        # Each weight, its gradient, and its two running means in the optimizer Adam take 16 bytes together.
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
 
 

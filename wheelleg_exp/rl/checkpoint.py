@@ -18,12 +18,12 @@ from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
-# Checkpoints of version 1 contain the networks, but lack state that is needed to resume a training.
+# Checkpoints of version 1 contain the networks, but not all state that is needed to resume a training.
 _READABLE = (1, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
-# An algorithm has two networks: an actor and a critic, or a student and a teacher.
+# An rsl_rl algorithm has two networks: an actor and a critic, or a student and a teacher.
 ROLES = ("actor", "critic", "student", "teacher")
-# A loaded state must not exceed these limits: number of objects, nesting depth, ratio of tensor size to file size.
+# The limits for a loaded checkpoint: number of objects, nesting depth, ratio of tensor size to file size.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
@@ -35,9 +35,9 @@ def serialize(state: Mapping[str, Any]) -> bytes:
 
 
 def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
-    """Read a checkpoint. If ``finite`` is true, reject networks with NaN or inf parameters.
+    """Read a checkpoint. If ``finite`` is true, reject a checkpoint whose networks have NaN or inf parameters.
 
-    The function raises RunDirectoryError if the file is missing, damaged, or not a checkpoint of this program.
+    ``load`` raises RunDirectoryError if the checkpoint file is missing, damaged, or from another program.
     """
     if not path.is_file():
         message = "the checkpoint does not exist"
@@ -45,10 +45,10 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
-        with warnings.catch_warnings():  # torch warns about files that torch.save did not write.
+        with warnings.catch_warnings():  # torch warns about checkpoint files that torch.save did not write.
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
-        # Raise ValueError for a state with too many objects, too much nesting, or too large tensors.
+        # Raise ValueError for a checkpoint with too many objects, too much nesting, or too large tensors.
         waiting, parts, room = [(state, 0)], 0, _TIMES * path.stat().st_size + (1 << 20)
         while waiting:
             value, depth = waiting.pop()
@@ -63,7 +63,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
                 waiting += [(item, depth + 1) for item in value]
             if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
                 raise ValueError("the checkpoint contains too many objects or too large tensors")
-    except Exception as error:  # A damaged file can raise any exception. Code in the file is never executed.
+    except Exception as error:  # A damaged checkpoint can raise any exception. torch never executes code in it.
         message = "the file cannot be read as a checkpoint: it is damaged, or contains data of unknown types"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run") from error
     state = state if isinstance(state, dict) else {}
@@ -82,7 +82,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
 
 
 def _require_finite(state: Mapping[str, Any], path: Path) -> None:
-    """Raise RunDirectoryError if a network parameter is NaN or inf, because the actions would be NaN too."""
+    """Raise RunDirectoryError if a network parameter is NaN or inf, because the policy's actions would be NaN."""
     for key in (*(f"{role}_state_dict" for role in ROLES), STATE):
         network = state.get(key)
         for name, value in network.items() if isinstance(network, Mapping) else ():
@@ -94,7 +94,7 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:
-    """Raise RunDirectoryError if the checkpoint lacks state that is needed to resume the training."""
+    """Raise RunDirectoryError if a checkpoint lacks state that is needed to resume its training."""
     if state["format_version"] != FORMAT_VERSION:
         message = f"the checkpoint has format version {state['format_version']}: it can be played, not resumed"
         expected = f"version {FORMAT_VERSION}, which holds all that a training depends on"
@@ -104,7 +104,7 @@ def require_resumable(state: Mapping[str, Any]) -> None:
 def _rebuilt(value: Any) -> Any:
     """Return a copy of a tree of containers in which no object occurs twice.
 
-    Pickle writes an object that occurs twice only once, so equal states with shared objects could give different bytes.
+    Pickle writes a shared object only once, so equal states with and without shared objects would give different bytes.
     """
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)

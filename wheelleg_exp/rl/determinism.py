@@ -18,8 +18,8 @@ def no_global_draws(*generators: str) -> Iterator[None]:
     """Raise ConfigError if the body draws from a global generator: ``torch``, ``numpy``, ``python`` (default: all).
 
     The policy draws its exploration noise from torch's global generator. A manager term that draws from torch's global
-    generator would change the exploration noise of the policy. The seed of a run does not set the generators of NumPy
-    and Python.
+    generator would change the policy's exploration noise. The seed of a run does not set the generators of NumPy and
+    Python.
     """
     watched = generators or tuple(_STATES)
     before = [_STATES[name]() for name in watched]
@@ -41,14 +41,14 @@ _STATES: dict[str, Callable[[], Any]] = {
 }
 
 
-# torch splits sums over more numbers than this among threads, so the order of additions depends on the thread count.
-# This constant has the value of torch's constant at::internal::GRAIN_SIZE.
+# The number of addends above which torch splits a sum among threads, so that the sum depends on the thread count.
+# The number is torch's constant at::internal::GRAIN_SIZE.
 SPLIT_ABOVE = 32768
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Make torch use one thread inside the block, so that sums do not depend on the number of threads."""
+    """Make torch use one thread inside a ``with`` block, so that sums do not depend on the number of threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

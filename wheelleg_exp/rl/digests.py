@@ -1,6 +1,6 @@
 """Short digests of a training's state: each iteration logs them, and a checkpoint must agree with them.
 
-A digest is computed from the content of a checkpoint, so that a reader of the checkpoint file can verify the digest.
+A digest (hash) is computed from a checkpoint's content, so that a reader of the checkpoint can verify the digest.
 Digests depend on names, types, shapes, and bytes only: two states have equal digests if and only if they are equal bit
 for bit.
 """
@@ -19,33 +19,33 @@ from wheelleg_exp.state.saved_values import bytes_of
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# The version of the digest algorithm. Digests of different versions cannot be compared.
+# The version of the hash algorithm for checkpoints. Hashes of different versions cannot be compared.
 FORMAT = 1
 
-# With 16 hexadecimal digits, two different states have equal digests with a probability of 5e-20.
+# Two different states have equal hashes of 16 hexadecimal digits with a probability of 5e-20.
 _LENGTH = 16
 _LABELS = ("format_version", "iter", "infos", "ranks")
 
 
 def of_state(state: Mapping[str, Any]) -> dict[str, str]:
-    """Return one digest for each part of a checkpoint, by the name of the part.
+    """Return one digest (hash) for each part of a checkpoint, by the name of the part.
 
     ``parameters``: the networks. ``optimizer``: its state with the learning rate. ``environment``: the environment
     without random streams. ``streams``: the random streams and torch's generators. ``log``: the running episode sums.
     ``mean``: the averaged weights, if there are any. ``rest``: all remaining parts. In a training with several
-    processes (ranks), each digest covers the state of all ranks.
+    processes (ranks), each digest (hash) covers the state of all ranks.
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
 
 
 def networks(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the networks in a checkpoint, from which the digest ``parameters`` is computed."""
+    """Return the networks in a checkpoint, from which the digest (hash) ``parameters`` is computed."""
     return {key: value for key, value in state.items() if _part_of(key) == "parameters"}
 
 
 def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Merge the digests of the first process (rank) with the digests of all other ranks, by the name of the digest."""
+    """Merge the digests (hashes) of the first process (rank) with those of all other ranks, by the digests' names."""
     if not others:
         return dict(first)
     merged = {name: [first[name], *(one[name] for one in others)] for name in first.keys() & others[0].keys()}
@@ -53,9 +53,9 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
 
 
 def tree_digest(tree: Any) -> str:
-    """Return a digest (16 hexadecimal digits) of nested mappings and sequences of tensors, numbers, and text.
+    """Return a hash (16 hexadecimal digits) of nested mappings and sequences of tensors, numbers, and text.
 
-    The key, type, and length of each entry are hashed too, so that trees of different structure have different digests.
+    The key, type, and length of each entry are hashed, so that trees with different structures have different hashes.
     """
     digest = hashlib.sha256()
     _update(digest, "", tree)

@@ -1,9 +1,9 @@
 """Compute the matrix products of the policy update in bfloat16 on CPUs that support it, or in TF32 on GPUs.
 
 Weights, biases, derivatives of activations, losses, sums of gradients, and the optimizer stay float32. Only the factors
-of matrix products and the values between two layers have 8 significant bits (mixed precision, Micikevicius et al. 2018,
-with the format of Kalamkar et al. 2019, whose range makes loss scaling unnecessary). oneDNN sums products in float32.
-Rollouts, evaluation, and export always use float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
+of matrix products and the values between two layers have 8 significant bits (mixed precision, Micikevicius and others
+2018; format of Kalamkar and others 2019). oneDNN sums products in float32. Rollouts, evaluation, and export always use
+float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from rsl_rl.modules import MLP
 
 KEY = "agent.matmul"
-# A layer with fewer weights than this number is slower in bfloat16 than in float32, because of the type conversions.
+# The number of weights from which a layer is faster in bfloat16 than in float32, despite type conversions.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers per block
-# These values of the variable ONEDNN_MAX_CPU_ISA allow AMX, and so do all values that contain the word AMX.
+# Values of the environment variable ONEDNN_MAX_CPU_ISA that allow AMX without the word AMX.
 _ANY = ("", "ALL", "DEFAULT")
-# These values of the variable ONEDNN_MAX_CPU_ISA allow bf16 vector instructions.
+# Values of the environment variable ONEDNN_MAX_CPU_ISA that allow bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
-# Several thread counts are tried, because a large count can give equal results although a smaller count does not.
+# Try several thread counts, because 16 threads can give the result of one thread although 2 threads do not.
 _COUNTS = (1, 2, 3, 4, 8, 16)
 
 
@@ -39,8 +39,8 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
     """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
     Old runs without the config key ``agent.matmul`` used float32. The value ``auto`` selects the precision by the
-    hardware, never by a measurement, so that every start selects the same. The function raises ConfigError if the
-    device does not support the selected precision.
+    hardware, never by a measurement, so that all starts of a run have equal precision. ``chosen_matmul`` raises
+    ConfigError if the device of the training does not support the precision.
     """
     wanted, kind, why_not = str(agent.get("matmul", "float32")), str(agent["device"]).partition(":")[0], ""
     if kind != "cpu":
@@ -59,10 +59,10 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
 
 
 def has_units() -> bool:
-    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN is allowed to use these instructions.
+    """Return whether oneDNN can multiply bfloat16 faster than float32 on this CPU, with the instructions it may use.
 
-    AMX multiplies bfloat16 faster than float32, and so do the bf16 vector instructions of AMD's CPUs. The bf16 vector
-    instructions of Intel's CPUs are slower than float32.
+    AMX and the bf16 vector instructions of AMD's CPUs multiply bfloat16 faster than float32. The bf16 vector
+    instructions of Intel's CPUs multiply more slowly than float32 instructions.
     """
     if not torch.backends.mkldnn.is_available():
         return False
@@ -75,10 +75,10 @@ def has_units() -> bool:
 
 
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
-    """Return whether the matrix products of a layer with a batch of ``rows`` depend on the number of threads.
+    """Return whether a network layer's matrix products with a batch of ``rows`` depend on the number of threads.
 
-    oneDNN does not promise equal results: with AMX it may split a sum among threads. So this function multiplies random
-    matrices of the layers' sizes with several thread counts, including ``threads``.
+    oneDNN does not promise equal results: with AMX it may split a sum among threads. ``products_depend_on_threads``
+    multiplies random matrices of the layers' sizes with several thread counts, including ``threads``.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]
@@ -108,7 +108,7 @@ def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
 
 @contextmanager
 def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
-    """Make the MLPs of the networks multiply in bfloat16 inside the block, in the forward and the backward pass."""
+    """Make the MLPs ``networks`` multiply in bfloat16 in a ``with`` block, in the forward and the backward pass."""
     perceptrons = _perceptrons(networks)
     for perceptron in perceptrons:
         perceptron.forward = _forward_of(list(perceptron))
@@ -121,7 +121,7 @@ def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
 
 @contextmanager
 def tf32_products() -> Iterator[None]:
-    """Make a GPU multiply float32 matrices in TF32 inside the block."""
+    """Make a GPU multiply float32 matrices in TF32 inside a ``with`` block."""
     before = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = True
     try:
@@ -153,7 +153,7 @@ def _is_large(layer: nn.Linear) -> bool:
 
 
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
-    """Return the output (..., O) of a linear layer. All factors of its matrix products are bfloat16.
+    """Return the output (..., O) of a linear layer, whose matrix products have only bfloat16 factors.
 
     The layer's input (..., I) is float32 or bfloat16. The layer's bias (O,) is added in float32. With ``elu``, ELU with
     alpha 1 follows: exp(y) - 1 where y is negative. The output is float32 without ELU and bfloat16 with ELU.
@@ -167,7 +167,7 @@ class _Linear(torch.autograd.Function):
         low, factors = x.bfloat16(), weight.bfloat16()
         y = _multiply(low, factors.t())
         if elu:
-            # Add the bias and apply ELU in float32, in place, in blocks of rows that fit into the CPU cache.
+            # Add a layer's bias and apply ELU in float32, in place, in blocks of rows that fit into the CPU cache.
             # torch's ELU is not used, because its result, unlike that of `exp`, depends on the number of threads.
             for rows in y.split(max(1, _BLOCK // y.shape[1])):
                 part = rows + bias

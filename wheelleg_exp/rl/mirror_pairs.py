@@ -1,4 +1,4 @@
-"""Find the mirror image of each joint and each body of a robot that is mirrored left to right."""
+"""Find the mirror image of each joint and each body of a left-right symmetric robot."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _MIN_AXIS_COSINE = 0.99
 
 
 def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
-    r"""Return the index of each joint's mirror image. A joint that no expression matches is its own mirror image.
+    r"""Return the index of each joint's mirror image. A joint that ``pairs`` does not match is its own mirror image.
 
     ``pairs`` maps a regular expression for the full joint names of one side to the name of the mirror image, which can
-    contain ``\1`` for a matched group. The value None removes a pair.
+    contain ``\1`` for a matched group. In ``pairs``, the value None removes a pair.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -48,11 +48,11 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
 
 
 def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
-    """Return the sign of each joint's motion in the mirror. Raise ConfigError if paired joints are not mirror images.
+    """Return the sign of each joint's motion in the mirror. Raise ConfigError if two paired joints are not symmetric.
 
     A mirror M changes a rotation by q about the axis a to a rotation by q about the axis -M a, and a slide along the
-    axis a to a slide along the axis M a. The anchors of two paired joints, and the centres of mass and masses of the
-    moved bodies, must also be mirror images. ``images`` contains the index of each joint's mirror image.
+    axis a to a slide along the axis M a. Two paired joints must have mirrored anchors, and must move bodies with
+    mirrored centres of mass and equal masses. ``images`` contains the index of each joint's mirror image.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -90,15 +90,15 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 
 
 _MAX_BODY_DISTANCE = 0.02  # of the robot's size
-# The largest allowed difference between an entry of a body's rotation matrix and of the mirrored matrix.
+# The largest allowed difference between the entries of a body's rotation matrix and of its mirrored rotation matrix.
 _MAX_FRAME_ERROR = 0.02
 
 
 class BodyImages:
     """Finds the mirror image of each body of a robot.
 
-    A body that a joint moves is paired by its joint. All other bodies are paired by their positions. ``names`` are the
-    body names, starting with the root, and ``joint_images`` are the indices of the joints' images.
+    A body that a joint moves is paired by its joint, and a body without a joint is paired by its position. ``names``
+    are the body names, starting with the root, and ``joint_images`` are the indices of the joints' images.
     """
 
     def __init__(
@@ -121,16 +121,16 @@ class BodyImages:
         parents = [number.get(int(model.body_parentid[body])) for body in ids]
         for body in sorted(range(len(ids)), key=lambda i: ids[i]):
             if self._images[body] is None:
-                # The mirror image of a body is the body nearest to the mirrored position, below the parent's image.
+                # A body's mirror image is a child of the parent's mirror image, nearest to the mirrored position.
                 above = None if (parent := parents[body]) is None else self._images[parent]
                 others = [i for i, other in enumerate(parents) if above is not None and other == above]
                 apart = np.linalg.norm(self._places[others] - MIRROR @ self._places[body], axis=1)
                 self._images[body] = others[int(apart.argmin())] if others else None
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
-        """Return the name of a body's mirror image. Raise ConfigError for the config key ``key`` if the body has none.
+        """Return the name of a body's mirror image. Raise ConfigError for ``key`` if it has none.
 
-        If ``with_axes`` is true, the axes of the two bodies must also be mirror images.
+        If ``with_axes`` is true, the axes of a body and of its mirror image must be mirror images.
         """
         body = self.names.index(name)
         image = self._images[body]

@@ -16,7 +16,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors import Imu, RayCaster
 
 RULES_KEY = "agent.symmetry.terms"
-# A mirror rule for an observation of fixed width has one sign for each number.
+# A mirror rule (change in a mirror image) of an observation with fixed width has one sign for each number.
 SIGNS: Mapping[str, tuple[float, ...]] = {
     "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
     "pseudovector": (-1, 1, -1),  # angular velocity, torque
@@ -28,9 +28,9 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
     "base_pose": (1, -1, 1),  # height, roll, pitch
     "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
 }
-# Mirror rules for observations of any width, such as one number for each joint or for each ray.
+# Mirror rules (changes in a mirror image) for observations of any width, such as one number for each joint.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# A mirror rule for bodies has signs, the term's parameter that selects bodies, and whether the bodies' axes must match.
+# A mirror rule for bodies has signs, the name of the parameter that selects bodies, and whether body axes must match.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -38,13 +38,13 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "body_vectors": ((1, -1, 1), "asset_cfg", True),
     "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
 }
-# These mirror rules apply to measurements of an IMU in the IMU's own axes.
+# The mirror rules (changes in a mirror image) for measurements of an IMU in its own axes.
 IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quaternion")}
-COMMAND_RULE = "command"  # The mirror rule of the observed command replaces this placeholder.
+COMMAND_RULE = "command"  # The placeholder for an observed command's mirror rule (change in a mirror image).
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# The mirror rules of built-in observations by the name of the observation's function.
+# The mirror rules (changes in a mirror image) of built-in observations by the name of the observation's function.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
@@ -70,7 +70,7 @@ _NAMES_BY_RULE = {
     "body_vectors": ("body_projected_gravity_b",),
 }
 TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
-# The mirror rules of built-in commands by the name of the command's class.
+# The mirror rules (changes in a mirror image) of built-in commands by the name of the command's class.
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",
@@ -83,7 +83,7 @@ COMMAND_RULES: Mapping[str, str] = {
 
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
-    """Return the error for an unknown mirror rule."""
+    """Return the error for an unknown mirror rule (how an observation term changes in a mirror image)."""
     expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
     return ConfigError(f"'{rule}' is not a mirror rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
 
@@ -96,7 +96,7 @@ _MAX_SIGN_ERROR = 1e-3
 def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
 
-    The function raises ConfigError if the sensor is not a ray caster or its rays are not symmetric.
+    ``mirror_rays`` raises ConfigError for a sensor that is not a ray caster or whose rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
         raise ConfigError("this sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
@@ -111,11 +111,11 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
 
 
 def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
-    """Return the mirror rule of an IMU's measurement, which is a vector, a pseudovector, or a quaternion.
+    """Return how an IMU's measurement (a vector, pseudovector, or quaternion) changes in a mirror image.
 
-    R is the rotation from the IMU's axes to its body's axes, and M is the mirror. The image of a vector v is R^T M R v,
-    and the image of a pseudovector v is -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. The function raises
-    ConfigError for another sensor, or for an IMU that is not its own mirror image.
+    R is the rotation from the IMU's axes to its body's axes, and M is the matrix of the mirror. The mirror image of a
+    vector v is R^T M R v, and of a pseudovector v -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. ``mirror_imu``
+    raises ConfigError unless ``sensor`` is an IMU and its own mirror image.
     """
     if not isinstance(sensor, Imu):
         raise ConfigError("the observed sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
@@ -153,10 +153,10 @@ _OFFSETS = (
 
 
 class TermMirror:
-    """Applies mirror rules to observation terms.
+    """Applies mirror rules (how an observation term changes in a mirror image) to observation terms.
 
-    ``joint_images`` are the indices of the joints' mirror images, and ``joint_signs`` the signs of their motion.
-    ``action`` contains the source indices and the signs of the mirrored action vector.
+    ``joint_images`` are the indices of the joints' mirror images, and ``joint_signs`` are the signs of the joints'
+    motion. ``action`` contains the source index and the sign of each number of a mirrored action vector.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            # The mirror image of a gait clock is the clock half a cycle later, if that exchanges left and right legs.
+            # The mirror image of a gait clock is half a cycle later, if half a cycle exchanges left and right legs.
             offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
             for offset in offsets:
                 if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:
@@ -207,7 +207,7 @@ class TermMirror:
         return joints + [(len(ids) + source, 1.0) for source, _ in joints if rule == "joints_sin_cos"]
 
     def command(self, term: ObservationTerm) -> str | None:
-        """Return the mirror rule of the command that an observation term returns."""
+        """Return the mirror rule (change in a mirror image) of the command that an observation term returns."""
         found: Any = self._env.command_manager.get_term(str(term.term.params["command_name"]))
         if hasattr(found, "body_name"):
             key = f"env.commands.{term.term.params['command_name']}.body_name"

@@ -17,7 +17,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 @dataclass(frozen=True)
 class Initial:
-    """Networks that a training starts from instead of random weights.
+    """Load networks with which a training starts instead of random networks.
 
     ``parts`` are the parts of the checkpoint ``state`` to load: ``actor``, ``critic``, ``optimizer``. ``facts``
     describe the checkpoint's origin.
@@ -39,9 +39,9 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
 
 
 def load_initial(algorithm: Any, initial: Initial) -> None:
-    """Load the networks of a checkpoint into the algorithm.
+    """Load the networks of a checkpoint into an rsl_rl algorithm.
 
-    The function draws no random numbers, so the random streams of the training do not depend on initial networks.
+    ``load_initial`` draws no random numbers, so a training's random streams do not depend on the initial networks.
     """
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong = []
@@ -65,7 +65,7 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
 def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
     """Return the policy of a checkpoint in evaluation mode: its mean action, without exploration noise.
 
-    The function raises RunDirectoryError if the checkpoint is damaged or does not fit the environment.
+    ``load_policy`` raises RunDirectoryError if a checkpoint is damaged or its networks do not fit the environment.
     """
     state = checkpoint.load(path)
     policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()

@@ -21,8 +21,8 @@ class SymmetryOptions:
 
     Attributes:
         joint_pairs: expressions that match the full names of joints on one side, and the names of their images on the
-            other side, with `\1` for a matched group. A joint without a pair is its own mirror image. The value null
-            removes a pair.
+            other side, with `\1` for a matched group. A joint without a pair is its own mirror image. The value null in
+            ``joint_pairs`` removes a pair of joints.
         terms: mirror rules of user-defined observations: a rule by the name of the term, or a sign for each number.
         mirrored_envs: whether the policy sees every second environment in a mirror during training (observations and
             actions), so that it learns both sides from the same number of samples.
@@ -39,14 +39,14 @@ class Learning:
 
     Attributes:
         max_non_finite: share of the environments whose episode may end in one iteration because a number was NaN or
-            inf; one episode is always allowed. The limit changes no result of a training that stays below the limit.
+            inf; one episode is always allowed. ``max_non_finite`` never changes a trained policy.
         matmul: precision of matrix products in the update: `float32`, `bfloat16` (on CPUs; weights and sums stay
             float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 if the CPU has units for it, tf32 on a
             GPU. Acting always uses float32.
         graph_update: whether PPO's acting and update are CUDA graphs on a GPU. rsl_rl itself updates PPO with RND,
             mirrored samples, or recurrent networks.
-        average_iterations: number of iterations over which the policy's weights are averaged exponentially. The average
-            is played, evaluated, exported, and used to start other trainings. The training itself continues with the
+        average_iterations: number of iterations over which the policy's weights are averaged exponentially. Plays,
+            evaluations, exports, and other trainings use the averaged weights. The training continues with the policy's
             current weights. 0 means no average.
     """
 
@@ -90,13 +90,13 @@ class DistillationAgent(Learning):
 
 
 def agent_options(agent: Any) -> type:
-    """Return the dataclass for a config section ``agent``, which depends on the section's algorithm class."""
+    """Return the dataclass of the config section ``agent``, which depends on the class of the rsl_rl algorithm."""
     algorithm = agent.get("algorithm") if isinstance(agent, Mapping) else None
     name = str(algorithm.get("class_name")) if isinstance(algorithm, Mapping) else ""
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# These parameters are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
+# Parameters that are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,
@@ -153,7 +153,7 @@ def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
-    """Return an error if the number of samples per iteration is invalid. All config values must be valid."""
+    """Return an error if a training iteration has less than two samples, or fewer samples than minibatches."""
     samples = num_envs * int(agent["num_steps_per_env"])
     if samples < 2:  # PPO divides advantages by their standard deviation.
         message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"

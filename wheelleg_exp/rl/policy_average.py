@@ -1,4 +1,4 @@
-"""Average a policy's weights over its last iterations. Only playing uses the average, not training."""
+"""Average a policy's weights over its last training iterations, for playing but not for training."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _COUNT = "averaged_iterations"  # key in `unsaved`
 
 
 class PolicyAverage:
-    """The exponential mean of a policy's weights.
+    """The exponential mean of a policy's weights over training iterations.
 
-    During training, the weights fluctuate around an optimum. The mean of the weights is closer to the optimum than the
-    current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM J. Control
-    Optim. 30, 1992). The training does not depend on the mean. During the first n ``iterations``, m is the mean of the
-    weights w of all iterations. Afterwards, each iteration adds (w - m) / n to m. 0 means no average, and ``is_on`` is
-    False.
+    During training, a policy's weights fluctuate around an optimum. The mean of the weights is closer to the optimum
+    than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM Journal
+    on Control and Optimization 30, 1992). The training of a policy does not depend on the mean weights. During the
+    first n ``iterations``, the mean m covers the weights w of all iterations; after that, each iteration adds (w - m) /
+    n to m. 0 means no average, and ``is_on`` is False.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
@@ -31,7 +31,7 @@ class PolicyAverage:
 
     @torch.no_grad()
     def take(self) -> None:
-        """Add the current weights to the mean, after each policy update."""
+        """Add the policy's current weights to the mean weights, after each policy update."""
         if not self.is_on:
             return
         now = self._policy.state_dict()
@@ -42,17 +42,17 @@ class PolicyAverage:
             self._mean[name].lerp_(value, share) if value.is_floating_point() else self._mean[name].copy_(value)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the mean weights for a checkpoint; an empty dictionary before the first policy update."""
+        """Return the policy's mean weights for a checkpoint; an empty dictionary before the first policy update."""
         return {STATE: cloned(self._mean)} if self._count else {}
 
     def unsaved(self) -> dict[str, int]:
-        """Return the number of iterations in the average."""
+        """Return the number of iterations in the average of a policy's weights."""
         return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Load the mean weights of a checkpoint. Without saved weights, the mean starts with the next policy update.
+        """Load a policy's mean weights; without saved mean weights, the mean starts with the next policy update.
 
-        The method raises ValueError if the mean belongs to another network.
+        ``load_state_dict`` raises ValueError if the mean weights do not fit the policy network.
         """
         if not self.is_on:
             return

@@ -1,10 +1,10 @@
 """rsl_rl's PPO as CUDA graphs: acting, and the update of the networks.
 
-In every minibatch, rsl_rl waits for the GPU four times (for the KL divergence and three losses), and launches about
-three hundred kernels. This module runs each minibatch as one CUDA graph, and waits for the GPU once per policy update.
-The learning rate and the sums of the losses stay on the GPU, because a graph cannot read Python numbers that change.
-Networks, losses, gradient clipping, and Adam are the same functions as in rsl_rl. In a training with several processes
-(ranks), the graph includes their communication. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
+In every minibatch, rsl_rl waits for the GPU four times, and launches about three hundred kernels. ``ppo_graphs`` runs
+each minibatch of PPO as one CUDA graph, and waits for the GPU once per policy update. The learning rate and the sums of
+the losses stay on the GPU, because a CUDA graph cannot read Python numbers that change. Networks, losses, gradient
+clipping, and Adam are rsl_rl's own functions. In a training with several processes (ranks), the CUDA graph includes the
+communication of the ranks. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
 _MIRROR_LOSS = "symmetry"  # rsl_rl's name
-# rsl_rl's adaptive learning rate has these bounds, and changes by this factor.
+# The bounds of rsl_rl's adaptive learning rate, and the factor by which the learning rate changes.
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
@@ -31,7 +31,7 @@ def can_capture_update(algorithm: Any) -> bool:
 
 
 def is_plain_ppo(algorithm: Any) -> bool:
-    """Return whether an algorithm is rsl_rl's PPO with Adam, MLPs, and no extension other than a mirror loss."""
+    """Return whether an algorithm is rsl_rl's PPO with Adam, MLPs, and no extension except a mirror loss."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
     symmetry = algorithm.symmetry
@@ -47,7 +47,7 @@ class CapturedPPO:
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
-        # A CUDA graph can only draw actions from a normal distribution.
+        # The CUDA graph for acting draws actions from a normal distribution.
         is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
         self.act = CapturedActing(algorithm) if is_normal else algorithm.act
 
@@ -56,9 +56,9 @@ class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
     The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. Between
-    updates, the optimizer has rsl_rl's own settings, so that the optimizer is saved and loaded as usual. A graph reads
-    fixed addresses. If a tensor's address has changed since the capture, for example after a checkpoint was loaded, the
-    update is captured again.
+    policy updates, the optimizer has rsl_rl's settings, so that rsl_rl can save and load the optimizer. A CUDA graph
+    reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is loaded, a
+    new CUDA graph is captured.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -74,13 +74,13 @@ class CapturedUpdate:
         self._advantages = torch.zeros_like(storage.returns)
         self._rate = torch.zeros((), device=algorithm.device)
         symmetry = algorithm.symmetry
-        # If the mirror loss is only logged, its weight in the total loss is 0.
+        # A mirror loss that is only logged has the weight 0 in the total loss.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
         self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)
 
     def __call__(self) -> dict[str, float]:
-        """Update the networks and return the mean losses by name."""
+        """Update the policy and value networks, and return the mean losses by name."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         count = algorithm.num_mini_batches
         order = torch.randperm(count * len(self._rows), device=algorithm.device).view(count, -1)
@@ -105,7 +105,7 @@ class CapturedUpdate:
                 self._capture(order)
             self._each(order, self._graph.replay)
         else:
-            # Run on the stream of the graph capture, because torch accumulates gradients on the stream of first use.
+            # Use the CUDA stream of the graph capture, because torch accumulates gradients on their first stream.
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -113,7 +113,7 @@ class CapturedUpdate:
             self._ran = True
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
-            # Update the means and deviations of a network's observations in place, because the CUDA graph reads them.
+            # Update the observations' means and standard deviations in place, where the CUDA graph reads them.
             before = dict(network.named_buffers())
             network.update_normalization(observations)
             for name, static in before.items():
@@ -162,7 +162,7 @@ class CapturedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        # The actor's `forward` is not used, because drawing actions would wait for the GPU.
+        # Avoid the actor's method `forward`, which makes the CPU wait for the GPU.
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
@@ -173,12 +173,12 @@ class CapturedUpdate:
                 if algorithm.is_multi_gpu:
                     torch.distributed.all_reduce(divergence)
                     divergence /= algorithm.gpu_world_size
-                # Lower the learning rate after a too large policy change, and raise the rate after a too small change.
+                # Lower the learning rate if the policy changed too much, and raise it if the policy changed too little.
                 desired, rate = self._algorithm.desired_kl, self._rate
                 slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
                 raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)
                 rate.copy_(torch.where(divergence > desired * 2, slower, raised))
-        # The loss is the negative clipped surrogate objective of PPO (Schulman et al. 2017, eq. 7).
+        # The policy loss is the negative clipped surrogate objective of PPO (Schulman et al. 2017, eq. 7).
         change = log_prob - old_log_prob.squeeze(-1)
         advantages = advantages.squeeze(-1)
         ratio, clip = change.exp(), self._algorithm.clip_param
@@ -210,10 +210,10 @@ class CapturedUpdate:
 
 
 class CapturedActing:
-    """Draws actions and stores the data for the policy update, as ``PPO.act`` does.
+    """Draws actions and stores the data for the policy update, as rsl_rl's ``PPO.act`` does.
 
-    The first rollout uses ``PPO.act``. The CUDA graph is captured at the start of the second rollout, and again if the
-    addresses of the networks change.
+    The first rollout uses ``PPO.act``. The CUDA graph is captured at the start of the second rollout, and whenever the
+    networks' memory addresses change.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -225,7 +225,7 @@ class CapturedActing:
         self._acted = False
 
     def __call__(self, observations: Any) -> torch.Tensor:
-        """Return actions (N, A) for the given observations, which are a mapping by group."""
+        """Return actions (N, A) for ``observations``, a mapping from observation groups to tensors."""
         algorithm = self._algorithm
         if algorithm.storage.step == 0:
             if self._acted and self._captured != self._memory():
@@ -253,7 +253,7 @@ class CapturedActing:
         self._captured = self._memory()
 
     def _computed(self) -> dict[str, Any]:
-        """Return the data that ``PPO.act`` stores for the policy update.
+        """Return the data that rsl_rl's ``PPO.act`` stores for the policy update.
 
         torch's own sampling is not used, because it waits for the GPU.
         """

@@ -1,9 +1,10 @@
 """Connect the processes (ranks) that train one policy together and that torchrun has started.
 
-Each rank simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes over gloo.
-No message is unpickled. Ranks exchange gradients on GPUs over NCCL. A checkpoint of several ranks is one tree: networks
-and optimizer are stored once. Environments, random streams, episode sums, and hidden states differ between ranks. The
-state of the first rank is at the top level of the tree, and the state of all other ranks is under ``ranks``.
+Each process (rank) simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes
+over gloo. No message is unpickled. Processes (ranks) exchange gradients on GPUs over NCCL. A checkpoint of several
+ranks is one tree: networks and optimizer are stored once. Environments, random streams, episode sums, and hidden states
+differ between ranks. The top level of a checkpoint contains the first rank's state, and its key ``ranks`` contains the
+state of all other ranks.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ _COMMUNICATION = Path(dist.__file__).parent
 
 
 class FirstRankFailed(WheellegError):
-    """Raised on all ranks but the first, after the training failed. The first rank reports the reason.
+    """Raised on all processes (ranks) but the first after a training failed; the first rank reports the reason.
 
-    ``keeps`` is true if the first rank saves the failed state and a checkpoint of the last complete iteration.
+    ``keeps`` is true if the first process (rank) saves the failed state and a checkpoint of the last full iteration.
     """
 
     exit_code = EXIT_FAILED
@@ -47,7 +48,7 @@ class FirstRankFailed(WheellegError):
 
 
 class Left(SimulationFailure):
-    """Raised on a rank because another rank has stopped."""
+    """Raised on a process (rank) of a training because another rank has stopped."""
 
 
 @contextmanager
@@ -68,21 +69,21 @@ def is_communication(error: BaseException) -> bool:
 
 
 def left() -> Left:
-    """Return the error to raise if another process of the training has stopped."""
+    """Return the error to raise if another process (rank) of the training has stopped."""
     message = "another process of the training has ended"
     expected = "all processes to continue; the first one to end reports why, or torchrun's table names the signal"
     return Left(message, key=f"rank {os.environ.get('RANK', '0')}", expected=expected)
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
-    """Return the attributes of an error as text by name; an empty dictionary if there is no error."""
+    """Return the attributes of an error as text by name; an empty dictionary if ``error`` is None."""
     if error is None:
         return {}
     facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
     return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
 
 
-# The timeout must be long enough for one rank to convert a robot or compile kernels while all other ranks wait.
+# The time for which one process (rank) may convert a robot or compile kernels while all other ranks wait.
 _PATIENCE = timedelta(minutes=30)
 
 
@@ -90,8 +91,8 @@ _PATIENCE = timedelta(minutes=30)
 class Ranks:
     """One of the processes (ranks) that train one policy together. A process that trains alone is rank 0 of 1.
 
-    ``rank`` is the number of this process, from 0. The first rank writes the run directory. ``size`` is the number of
-    ranks. ``local`` is the number of this process on this machine, and ``locals`` is the number of ranks on this
+    ``rank`` is the number of this process, from 0; rank 0 writes the run directory. ``size`` is the number of processes
+    (ranks). ``local`` is the number of this process on its machine, and ``locals`` is the number of ranks on this
     machine.
     """
 
@@ -152,11 +153,11 @@ class Ranks:
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
 
     def tell_all(self, value: Any) -> list[Any]:
-        """Send a JSON value to all processes (ranks). Return the values of all ranks in the order of the ranks."""
+        """Send a JSON value to all processes (ranks), and return the values of all ranks in the order of the ranks."""
         return [json.loads(content) for content in self._gathered(json.dumps(value).encode(), everywhere=True) or ()]
 
     def any(self, flag: bool) -> bool:
-        """Return whether the flag is true on at least one process (rank)."""
+        """Return whether ``flag`` is true on at least one process (rank)."""
         if not self.together:
             return flag
         number = torch.tensor([int(flag)])
@@ -165,11 +166,11 @@ class Ranks:
         return bool(number.item())
 
     def said_by_first(self, value: Any) -> Any:
-        """Send a JSON value from the first process (rank) to all ranks. Return the first rank's value on every rank."""
+        """Send a JSON value from the first process (rank) to all ranks, and return this value on every rank."""
         return self.tell_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the trees of tensors, numbers, and text of all ranks; an empty list except on the first rank."""
+        """Return the trees of tensors, numbers, and text of all processes (ranks); [] except on the first rank."""
         if not self.together:
             return [dict(tree)]
         found = self._gathered(checkpoint.serialize(tree), everywhere=False)
@@ -193,10 +194,9 @@ class Ranks:
 
     @contextmanager
     def agreed(self) -> Iterator[None]:
-        """If the block raises a WheellegError on one process (rank), raise an error on all ranks.
+        """If a ``with`` block raises a WheellegError on one process (rank), raise an error on all ranks.
 
-        The first rank raises the error of the rank that failed, with its evidence. All other ranks raise
-        FirstRankFailed.
+        The first process (rank) raises the error of the rank that failed. All other ranks raise FirstRankFailed.
         """
         if not self.together:
             yield
@@ -225,7 +225,7 @@ class Ranks:
             )
 
     def require_equal(self, values: Mapping[str, str]) -> None:
-        """Raise ConfigError if the digests of config files, given by name, differ between processes (ranks)."""
+        """Raise ConfigError if the hashes of config files, given by name, differ between processes (ranks)."""
         if not self.together:
             return
         received = self.tell_all(dict(values))
@@ -238,8 +238,8 @@ class Ranks:
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
         """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        ``times`` are the keys of scalars that are durations. The first rank gets the merged scalars. All other ranks
-        get their own scalars unchanged.
+        ``times`` are the keys of scalars that are durations. The first process (rank) gets the merged scalars, and all
+        other ranks get their own scalars.
         """
         if not self.together:
             return dict(scalars)
@@ -259,7 +259,7 @@ ALONE = Ranks()
 
 @contextmanager
 def joined() -> Iterator[Ranks]:
-    """Join the processes (ranks) that torchrun started. Without torchrun, there is one rank."""
+    """Join the processes (ranks) that torchrun started; without torchrun, a training has one process."""
     size = world_size()
     if size <= 1:
         yield ALONE
@@ -277,7 +277,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # After an error, destroy_process_group would wait for processes that have stopped.
+    dist.destroy_process_group()  # After an error, destroy_process_group would wait for stopped processes.
 
 
 OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")
@@ -285,7 +285,7 @@ RANKS_KEY = "ranks"
 
 
 def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the states of all ranks on the first rank, and a rank's own state elsewhere. All ranks must call this."""
+    """Return the states of all processes (ranks) on the first rank, and a rank's own state on every other rank."""
     parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
     return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
 
@@ -297,9 +297,9 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
 
 
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
-    """Return the digests of the state of all processes (ranks), and whether all ranks have equal networks.
+    """Return the digests (hashes) of the state of all processes (ranks), and whether all ranks have equal networks.
 
-    Each rank must call the function with the rank's own state, or with a part of this state.
+    Each rank must call ``digests_of_all`` with its own state, or with a part of its own state.
     """
     mine = digests.of_state(state)
     if not ranks.together:

@@ -13,13 +13,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # In a scalar's key, the config key of a term follows this prefix.
+SCALAR = "Diagnostics/non_finite/"  # The prefix before a term's config key in the key of a scalar.
 
 
 class FailureCount:
     """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
-    In each iteration, ``agent.max_non_finite`` times N failed episodes are accepted, and at least one failed episode.
+    Each training iteration accepts ``agent.max_non_finite`` times N failed episodes, but at least one.
     """
 
     def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
@@ -39,7 +39,7 @@ class FailureCount:
             self._evidence = self._evidence or found["evidence"]
 
     def require_few(self, when: str) -> None:
-        """Raise SimulationFailure if too many episodes had NaN or inf. The error names the most frequent config key."""
+        """Raise SimulationFailure with the most frequent config key if too many episodes had NaN or inf."""
         if self.episodes > self._allowed:
             key, count = self.by_key.most_common(1)[0]
             others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
@@ -49,11 +49,11 @@ class FailureCount:
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, int]:
-    """Return the number of episodes with NaN or inf, by config key, from the scalars of an iteration."""
+    """Return the number of episodes with NaN or inf, by config key, from the scalars of a training iteration."""
     return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
 
 
-_EPISODES = 100  # The mean reward and episode length cover this number of finished episodes, as in rsl_rl.
+_EPISODES = 100  # The number of finished episodes in the mean reward and the mean episode length, as in rsl_rl.
 
 
 class EpisodeLog:
@@ -70,7 +70,7 @@ class EpisodeLog:
         self._non_finite: Counter[str] = Counter()
 
     def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
-        """Add the rewards (N,), dones (N,), and extras of one environment step."""
+        """Add the rewards (N,), dones (N,), and extras of one environment step to the log."""
         self._return += rewards
         self._length += 1
         for keys in extras.get("non_finite", {"keys": {}})["keys"].values():
@@ -105,7 +105,7 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the running sums, the last episodes, and the logs that ``collect`` has not returned yet."""
+        """Return the running sums, the last episodes, and all logs since the last ``collect``."""
         self._take_pending()
         ended = {"returns": list(self._returns), "lengths": list(self._lengths)}
         values = {key: list(values) for key, values in self._values.items()}
@@ -125,7 +125,7 @@ class EpisodeLog:
 
 
 def _numbers(log: Mapping[str, Any]) -> dict[str, float]:
-    """Return a log as Python numbers. Tensors of equal dtype share one copy, because each copy waits for the GPU."""
+    """Return a log as Python numbers; tensors of equal dtype are copied together, because a copy waits for the GPU."""
     kinds: defaultdict[tuple[torch.dtype, torch.device], list[str]] = defaultdict(list)
     for key, value in log.items():
         if isinstance(value, torch.Tensor):
@@ -142,9 +142,9 @@ REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Termin
 class StepMeans:
     """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
-    The managers' logs cover only finished episodes, so robots that fall early have a higher weight. In contrast,
-    ``StepMeans`` gives each environment the same weight in each step. The sums are empty between iterations, so there
-    is no state to save.
+    The managers' logs cover only finished episodes, so robots that fall early weigh more than robots that stand.
+    ``StepMeans`` gives each environment the same weight in each control step. Checkpoints do not contain the sums of
+    ``StepMeans``, because the sums are empty between iterations.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -153,13 +153,13 @@ class StepMeans:
         self._steps = 0
 
     def take(self) -> None:
-        """Add the values of the environment's last step to the sums."""
+        """Add the rewards, terminations, and command errors of the environment's last step to the sums."""
         for key, rows in self._rows():
             self._sums[key] = self._sums[key].add_(rows) if key in self._sums else rows.double()
         self._steps += 1
 
     def collect(self) -> dict[str, float]:
-        """Return the means over all steps and environments since the last ``collect``, and reset the sums to 0."""
+        """Return the means of rewards, terminations, and errors since the last ``collect``, and reset the sums to 0."""
         scalars: dict[str, float] = {}
         with one_thread():
             for (head, names), sums in self._sums.items():

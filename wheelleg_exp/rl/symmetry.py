@@ -1,4 +1,4 @@
-"""Mirror observations and actions left to right, for rsl_rl's symmetry extension and its mirror loss."""
+"""Mirror observations and actions (exchange left and right) for rsl_rl's symmetry extension and its mirror loss."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _MAX_TARGET_ERROR = 1e-4  # rad
 
 
 class Mirror:
-    """Mirrors observations and actions of an environment left to right.
+    """Mirrors observations and actions of an environment, so that left and right are exchanged.
 
-    ``groups`` are the observation groups that networks read. The constructor raises ConfigError if the robot is not
-    symmetric or if a term has no mirror rule.
+    ``groups`` are the observation groups that networks read. ``Mirror`` raises ConfigError if the robot is not
+    symmetric or if it cannot mirror an observation term.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Mirror:
         self._action_tensors = _index_and_sign_tensors(self._action, device)
 
     def observations(self, observations: TensorDict) -> TensorDict:
-        """Return the mirror image of a batch of observations. Groups that no network reads do not change."""
+        """Return a batch of observations in which all observation groups that a network reads are mirrored."""
         turned = {**dict(observations.items()), **self.images(observations)}
         return TensorDict(turned, batch_size=observations.batch_size)
 
@@ -75,7 +75,7 @@ class Mirror:
         return actions[:, sources] * signs
 
     def _actions(self) -> SignedSources:
-        """Return the mirror rule of the action vector. Mirrored actions must result in mirrored joint targets."""
+        """Return the indices and signs that mirror an action vector, so that the joint targets are mirrored."""
         manager = self._env.action_manager
         columns: dict[tuple[str, str], int] = {}
         made: list[tuple[str, str, float, float]] = []
@@ -86,7 +86,7 @@ class Mirror:
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
                 raise ConfigError("the mirror image of this action term is unknown", key=path, expected=expected)
-            # Process actions of 0 and 1 to find the offset and scale of each action, then restore the term's state.
+            # Process actions of 0 and 1 to find each action's offset and scale, then restore the action term's state.
             saved, zeros = term.state_dict(), torch.zeros_like(term.raw_actions)
             term.process_actions(zeros)
             offset = term.processed_actions[0].clone()
@@ -136,7 +136,7 @@ class Mirror:
             shown = rule if isinstance(rule, str) else list(rule)
             message = f"the mirror rule {shown} has {len(turned)} numbers, and the term has {width}"
             raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
-        # Raise ConfigError if clip or scale differ between an observed number and its mirror image.
+        # Raise ConfigError if an observed number and its mirror image differ in clip or scale.
         clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
         if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
             message = "the bounds are not symmetric, and some numbers change their sign in a mirror"
@@ -155,11 +155,11 @@ class MirroredHalf:
         self._mirrored = (torch.arange(num_envs, device=mirror.device) % 2 == 1).unsqueeze(1)
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return the policy's raw actions (N, A), mirrored for every second environment."""
+        """Return the policy's raw actions (N, A) with mirrored actions for every second environment."""
         return torch.where(self._mirrored, self._mirror.actions(actions), actions)
 
     def observations(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Return observations (N, ...), mirrored in every second environment if a network reads the group."""
+        """Return observations (N, ...), in which groups that networks read are mirrored in every second environment."""
         images = self._mirror.images(observations)
         return {**observations, **{g: torch.where(self._mirrored, v, observations[g]) for g, v in images.items()}}
 
@@ -199,9 +199,9 @@ def replace_mirror_loss(algorithm: Any) -> None:
 
 
 def mirror_loss(symmetry: Symmetry, actor: Any, observations: Any) -> torch.Tensor:
-    """Return the mean squared difference between actions for mirrored observations and mirrored actions.
+    """Return the mean squared difference between the actions for mirrored observations and the mirrored actions.
 
-    The loss and its gradient are equal to those of ``Symmetry.compute_loss`` in rsl_rl 5.5. rsl_rl evaluates the policy
+    The mirror loss and its gradient equal those of ``Symmetry.compute_loss`` in rsl_rl 5.5. rsl_rl evaluates the policy
     a second time, only to backpropagate a gradient of 0. ``mirror_loss`` reuses the actions of the last forward pass,
     whose input must have been ``observations``.
     """

@@ -40,11 +40,11 @@ class Iteration:
 
 
 class Trainer:
-    """Trains a policy with the config section ``agent``.
+    """Trains a policy with the options of the config section ``agent``.
 
     Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
-    the global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. ``initial`` contains
-    networks to start from, but exploration and simulation start from scratch. Each of the processes ``ranks`` has its
+    torch's global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. ``initial``
+    contains networks to start from, but exploration and simulation start anew. Each of the processes ``ranks`` has its
     own trainer.
     """
 
@@ -74,17 +74,17 @@ class Trainer:
         self._means = StepMeans(env.env)
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
-        # The CUDA graphs compute the same actions and policy updates as rsl_rl's own algorithm.
+        # CUDA graphs give the same actions and policy updates as rsl_rl's PPO.
         captures = agent.get("graph_update") and can_capture_update(self.algorithm)
         self._ppo: Any = CapturedPPO(self.algorithm) if captures else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
-        """Train up to ``until`` iterations in total, and yield the result of each iteration.
+        """Train until the number of training iterations is ``until``, and yield the result of each iteration.
 
-        If several processes (ranks) train together, each rank must iterate over this generator. The first rank yields
-        results of all ranks: scalars are means, steps are sums. A number that is NaN or inf raises SimulationFailure:
-        an observation, an action, a number that an event wrote, a loss, a parameter, or physics and rewards in more
-        environments than ``agent.max_non_finite`` allows.
+        If several processes (ranks) train together, each rank must iterate over the results of ``learn``. The first
+        rank yields results of all ranks: scalars are means, steps are sums. A number that is NaN or inf raises
+        SimulationFailure: an observation, an action, a number that an event wrote, a loss, a parameter, or physics and
+        rewards in more environments than ``agent.max_non_finite`` allows.
         """
         self.algorithm.train_mode()
         if self.ranks.together:
@@ -128,7 +128,7 @@ class Trainer:
         with self.ranks.agreed():
             self._require_finite(losses)
         if self.ranks.together:
-            # Copy the running means of observations from the first rank, because each rank collects different samples.
+            # Copy the running means of observations from the first process, because each process has different samples.
             networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
             with communicating():
                 for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
@@ -156,7 +156,7 @@ class Trainer:
 
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
-        """Convert an exception from rsl_rl or a network to a SimulationFailure that names the iteration."""
+        """Convert an exception from rsl_rl or a network to a SimulationFailure that names the training iteration."""
         try:
             yield
         except SimulationFailure as error:
@@ -191,7 +191,7 @@ class Trainer:
         return rate | {f"loss.{name}": torch.tensor(float(value)) for name, value in losses.items()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all state that later iterations depend on. The entry ``iter`` is the last finished iteration."""
+        """Return all state that later training iterations depend on; ``iter`` is the last finished iteration."""
         rng = {"torch": torch.get_rng_state()}
         if torch.device(self.device).type not in ("cpu", "meta"):
             rng["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
@@ -206,7 +206,7 @@ class Trainer:
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore a state from ``state_dict``. Raise RunDirectoryError if the state does not fit this training."""
+        """Restore a state from ``state_dict``. Raise RunDirectoryError if the saved state does not fit the training."""
         checkpoint.require_resumable(saved)
         try:
             self.algorithm.load(dict(saved), None, True)
@@ -214,7 +214,7 @@ class Trainer:
             self.average.load_state_dict(saved)
             self.env.env.load_state_dict(saved["env"])
             self.log.load_state_dict(saved["log"])
-            # Restore the random state last, because loading the networks can draw random numbers.
+            # Restore the state of random generators last, because loading the networks can draw random numbers.
             torch.set_rng_state(saved["rng"]["torch"])
             if "device" in saved["rng"]:
                 torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
@@ -236,7 +236,7 @@ class Trainer:
             policy.load_state_dict(own)
 
     def set_learning_rate(self, value: float) -> None:
-        """Set the learning rate of the next policy updates. An adaptive schedule starts from this learning rate."""
+        """Set the learning rate of the next policy updates, from which an adaptive schedule starts."""
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value

@@ -15,7 +15,7 @@ class RslRlVecEnv(VecEnv):
     """Adapts ``ManagerBasedRLEnv`` to rsl_rl's ``VecEnv``.
 
     Args:
-        env: the environment. The constructor resets the environment, as Isaac Lab's wrapper does.
+        env: the environment. ``RslRlVecEnv`` resets the environment, as Isaac Lab's wrapper for rsl_rl does.
         clip_actions: bound of the raw actions, or None.
     """
 
@@ -28,8 +28,8 @@ class RslRlVecEnv(VecEnv):
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
         self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
-        self.mirror: Any = None  # rsl_rl's symmetry extension needs this mirror
-        self.half: Any = None  # this object mirrors every second environment during training
+        self.mirror: Any = None  # the mirror for rsl_rl's symmetry extension
+        self.half: Any = None  # the object that mirrors every second environment during training
         env.reset()
 
     @property
@@ -47,11 +47,11 @@ class RslRlVecEnv(VecEnv):
         self.env.episode_length_buf.copy_(value)
 
     def get_observations(self) -> TensorDict:
-        """Return the last observations. The method draws no random numbers and changes no state."""
+        """Return the last observations without drawing random numbers or changing the environment's state."""
         return self._as_tensordict(self.env.observation_manager.obs_buf)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Apply actions (N, A) and return observations, rewards (N,), dones (N,) long, and extras.
+        """Apply the actions (N, A) of one control step; return observations, rewards (N,), dones (N,), and extras.
 
         ``extras`` contains ``time_outs`` (N,). rsl_rl adds the value of the next state to the reward at a time-out, but
         not if ``env.is_finite_horizon`` is set.

@@ -28,10 +28,10 @@ _COMPONENT_TYPES: dict[str, pa.DataType] = {
 
 
 def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
-    """Convert Arrow values to Python values. Values that Arrow cannot convert become None.
+    """Convert Arrow values to Python values. Arrow values that Arrow cannot convert become None.
 
-    Times become integers in the unit of the Arrow type, which is nanoseconds in rerun's files. Times become integers
-    because Python's time types only have microseconds, and Arrow needs pandas for nanoseconds.
+    Times become integers in the unit of the Arrow type, which is nanoseconds in rerun's files. Python's time types have
+    no nanoseconds, and Arrow's conversion of nanoseconds needs pandas.
     """
     if any(pa.types.is_union(kind) or pa.types.is_map(kind) for kind in _nested_types(array.type)):
         return [None] * len(array)
@@ -69,7 +69,7 @@ def short_name(name: str) -> str:
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
     """Return an Arrow record batch in which each known column has the Arrow type that belongs to the column's name.
 
-    A column is omitted if its values cannot be converted, or if an earlier column has the same short name.
+    ``known_columns`` omits columns whose values cannot be converted, or whose short name belongs to an earlier column.
     """
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))
@@ -90,7 +90,7 @@ def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:
-    """Return whether two Arrow types are equal or differ only in the precision of numbers."""
+    """Return whether two Arrow types are equal or differ only in the precision of their numbers."""
     if pa.types.is_null(kind):
         return True
     if is_list(wanted):

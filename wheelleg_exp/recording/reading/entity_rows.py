@@ -21,8 +21,8 @@ SCALARS = "scalars"
 class EntityRows:
     """Gives access to the recorded rows of each rerun entity in a recording's file.
 
-    The constructor raises RunDirectoryError if the file is missing, empty, or not a recording, or if the file contains
-    several recordings and ``recording_id`` does not select one.
+    ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording, or if ``recording_id``
+    does not select one of several recordings in the file.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
@@ -42,13 +42,13 @@ class EntityRows:
         return [name for name in TIMELINES if name in found]
 
     def reach(self, timeline: str) -> tuple[float, float] | None:
-        """Return the first and the last value of a timeline (s for ``sim_time``); None for an empty timeline."""
+        """Return the first and the last value of a timeline (in s for ``sim_time``); None for an empty timeline."""
         found = self._contents.reach.get(timeline)
         scale = 1e-9 if timeline == SIM_TIME else 1.0
         return None if found is None else (found[0] * scale, found[1] * scale)
 
     def columns(self, entity: str) -> set[str]:
-        """Return the names of an entity's timelines and of the components that the entity recorded over time."""
+        """Return the names of a rerun entity's timelines and of its components that change over time."""
         pieces = [piece for piece in self._contents.pieces.get(entity.strip("/"), ()) if not piece.is_static]
         return {short_name(name) for piece in pieces for name in piece.names}
 
@@ -59,7 +59,7 @@ class EntityRows:
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return the rows of an entity in the format of ``Recording.table``. Raise KeyError without rows."""
+        """Return a rerun entity's rows as ``Recording.table`` does. Raise KeyError for an entity without any row."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:
@@ -67,7 +67,7 @@ class EntityRows:
             try:
                 table = pa.concat_tables(tables, promote_options="permissive").combine_chunks()
                 if STEP in table.column_names:
-                    # Drop rows without a control step, because rows are sorted by control step.
+                    # Drop recorded rows without a control step, because all rows are sorted by control step.
                     table = table.filter(table.column(STEP).is_valid()) if table.column(STEP).null_count else table
                     steps = np.asarray(table.column(STEP))
                     if not (steps[1:] >= steps[:-1]).all():
@@ -78,7 +78,7 @@ class EntityRows:
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
-        """Return the numbers of an entity, (rows, width). Raise RunDirectoryError if the rows have different widths."""
+        """Return a rerun entity's numbers, (rows, width). Raise RunDirectoryError for rows of different widths."""
         table = self.rows(entity)
         if SCALARS not in table.column_names:
             message = f"'{entity}' of '{self.path}' contains no numbers"
@@ -93,27 +93,27 @@ class EntityRows:
         return flat.reshape(len(table), -1)
 
     def width(self, entity: str) -> int:
-        """Return how many numbers the first row of an entity contains."""
+        """Return how many numbers the first row of a rerun entity contains."""
         lengths = pc.list_value_length(self.rows(entity).column(SCALARS).slice(0, 1))
         return (lengths[0].as_py() or 0) if len(lengths) else 0
 
     def number_names(self, entity: str) -> list[str]:
-        """Return the names of an entity's numbers; an empty list if the numbers have no names."""
+        """Return the names of a rerun entity's numbers; an empty list if the numbers have no names."""
         return [str(word)[:LONGEST_TEXT] for word in self.static(entity).get("names", [])]
 
     def static(self, entity: str) -> dict[str, list[Any]]:
-        """Return the static data of an entity by component; an empty dictionary if the entity has no static data."""
+        """Return the static data of a rerun entity by component; an empty dictionary if it has none."""
         path = entity.strip("/")
         if path not in self._statics:
             self._statics[path] = latest(self._contents.rows(path, static=True))
         return {name: python_values(array)[0] or [] for name, array in self._statics[path].items()}
 
     def has_rows(self, entity: str) -> bool:
-        """Return whether an entity has rows over time, not only static data."""
+        """Return whether a rerun entity has rows over time, not only static data."""
         return self.count(entity) > 0
 
     def count(self, entity: str) -> int:
-        """Return the number of an entity's rows over time; static rows are not counted."""
+        """Return the number of a rerun entity's rows over time; static rows are not counted."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         return sum(piece.batch.num_rows for piece in pieces if not piece.is_static)
 

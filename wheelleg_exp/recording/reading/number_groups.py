@@ -17,7 +17,7 @@ from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
 _NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
-# The limits for damaged files: numbers per entity, numbers per recording, characters of all group names.
+# The limits when a damaged file is read: numbers per entity, numbers per recording, characters of group names.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 
@@ -41,7 +41,7 @@ class NumberNames:
 
     @cached_property
     def groups(self) -> dict[str, list[str]]:
-        """The rerun entities that contain numbers, by parent entity path, in the order of the group's columns."""
+        """The rerun entities that contain numbers, by parent entity path, in the order of their columns in a table."""
         found: dict[str, list[str]] = {}
         room = _LETTERS
         for entity in self._entities:
@@ -59,13 +59,13 @@ class NumberNames:
         return found
 
     def numbers_of(self, path: str) -> list[Number]:
-        """Return the numbers of a rerun entity and of all entities below this entity."""
+        """Return the numbers of a rerun entity and of all entities below it."""
         own = [path] if path in self._entities else []
         depth = len(parts_of(path))
         numbers = (n for entity in (*own, *self.groups.get(path, ())) for n in self._numbers(entity, depth))
         found = []
         for number in self._within_bounds(numbers):
-            # Rename `step` of the entity `episode/step` to `episode.step`, because `step` is a timeline.
+            # Rename the column `step` of the entity `episode/step` to `episode.step`, because `step` is a timeline.
             if number.name in TIMELINES:
                 name = ".".join(unescaped(part) for part in parts_of(number.entity)[-2:])
                 number = Number(name, number.entity, number.index)
@@ -73,7 +73,7 @@ class NumberNames:
         return found
 
     def all(self, branch: str) -> dict[str, Number]:
-        """Return by dotted name all recorded numbers of one environment, and all numbers of no environment."""
+        """Return all recorded numbers of one environment and all numbers without an environment, by dotted name."""
         if branch not in self._by_branch:
             depths = {e: int(bool(branch) and e.split("/")[0] == branch) for e in self._entities}
             shared = [e for e, depth in depths.items() if depth or not BRANCH.match(f"{e}/")]
@@ -142,7 +142,7 @@ class _Timeline:
     """The union of the control steps of several rerun entities.
 
     ``columns`` are the timelines that all entities have in common, with ``sim_time`` in s. ``rows`` contains the
-    indices of each entity's rows in the union, or None if the entity has a row for every step of the union.
+    indices of each entity's rows in the union, or None if the entity has a row for every control step of the union.
     """
 
     columns: dict[str, NDArray]

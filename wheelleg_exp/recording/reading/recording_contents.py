@@ -1,4 +1,4 @@
-"""Read the rows of each rerun entity from a recording's file, and check how much of the file is readable."""
+"""Read the rows of each rerun entity from a recording's file, and check how much of this file is readable."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 class Health:
     """The health of a recording's file: how much of the file is readable.
 
-    ``size`` is the number of bytes of the file, and ``readable`` is the number of bytes up to the end of the last
-    complete message. ``is_closed`` is true if the file has an index. ``damaged`` counts complete messages that cannot
-    be decoded. ``writer`` is the version of rerun that wrote the file.
+    ``size`` is the number of bytes of the recording, and ``readable`` is the number of bytes up to the end of the last
+    complete message. ``is_closed`` is true if the recording has an index. ``damaged`` counts complete messages that
+    cannot be decoded. ``writer`` is the version of rerun that wrote the recording.
     """
 
     size: int
@@ -44,11 +44,11 @@ class Health:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the recording's file is closed and no message is damaged."""
+        """Whether a recording's file is closed and contains no damaged message."""
         return self.is_closed and not self.damaged
 
     def lines(self) -> list[str]:
-        """Return sentences about the state of the recording's file for the user. The first sentence is a summary."""
+        """Return sentences for the user about the state of a recording's file, of which the first is a summary."""
         found = ["whole" if self.is_whole else "not whole"]
         if self.readable < self.size and not self.is_closed:
             found.append(f"cut off at byte {self.readable} of {self.size}: no whole message follows")
@@ -59,7 +59,7 @@ class Health:
         return found
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the state of the recording's file as a dictionary for JSON."""
+        """Return the state of a recording's file as a dictionary for JSON."""
         return {"is_whole": self.is_whole, **asdict(self), "lost": self.size - self.readable}
 
 
@@ -67,7 +67,7 @@ class Health:
 class Piece:
     """The rows of one message of an rrd file, either static or over time.
 
-    The metadata of an Arrow field is ``index`` if the field is a timeline, and ``data`` if the field is a component.
+    The metadata of an Arrow field is ``index`` for a timeline of rerun, and ``data`` for a component.
     """
 
     batch: pa.RecordBatch
@@ -75,15 +75,15 @@ class Piece:
 
     @property
     def names(self) -> list[str]:
-        """The names of the timelines and rerun components of the rows."""
+        """The names of the timelines and components of the message's rows."""
         return [field.name for field in self.batch.schema if is_index(field) or is_component(field)]
 
 
 class Contents:
-    """The rows of a recording. ``pieces`` maps each rerun entity to the rows of the entity's messages.
+    """The rows of a recording. ``pieces`` maps each rerun entity to its rows.
 
-    The constructor reads all complete messages of the file. The constructor raises RunDirectoryError if the file is
-    missing or not a recording, or if the file contains several recordings and ``recording_id`` does not select one.
+    ``Contents`` reads a recording's complete messages, and raises RunDirectoryError if the file is missing or not a
+    recording, or if ``recording_id`` does not select one of several recordings in the file.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None) -> None:
@@ -107,7 +107,7 @@ class Contents:
 
     @cached_property
     def reach(self) -> dict[str, tuple[int, int]]:
-        """The first and the last value of each timeline by name. The unit of ``sim_time`` is ns."""
+        """The first and the last value of each timeline, by the timeline's name; ``sim_time`` is in ns."""
         found: dict[str, tuple[int, int]] = {}
         for batch in (piece.batch for pieces in self.pieces.values() for piece in pieces if not piece.is_static):
             for name in TIMELINES:
@@ -124,7 +124,7 @@ class Contents:
         return map(known_columns, self.batches(entity, static=static))
 
     def batches(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of a rerun entity in the order of the file, without conversion of Arrow types."""
+        """Yield the rows of a rerun entity in the order of the recording's file, without conversion of Arrow types."""
         return (piece.batch for piece in self.pieces.get(entity, ()) if piece.is_static == static)
 
     def _chosen(self, stores: Mapping[tuple[str, str], list[Chunk]], wanted: str | None) -> str:
@@ -149,7 +149,7 @@ def columns(batch: pa.RecordBatch) -> pa.Table:
 
 
 def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
-    """Return the last recorded value of each rerun component by the component's short name."""
+    """Return the last recorded value of each rerun component, by the component's short name."""
     found: dict[str, pa.Array] = {}
     for batch in batches:
         for field, array in zip(batch.schema, batch.columns, strict=True):
@@ -162,8 +162,8 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
-    rerun's own program writes the copy, because a damaged message can terminate the process that decodes it. The
-    function raises RunDirectoryError if no message is readable.
+    rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
+    ``closed_copy`` raises RunDirectoryError if no message is readable.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"
@@ -174,8 +174,8 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count the damaged messages in rerun's log, because the number of rows in the copy is not reliable.
-        # The copy also lacks static rows that later static rows replace.
+        # Count the damaged messages in rerun's log instead of the rows that rerun's copy lacks, because rerun's copy
+        # omits each static row that a later static row replaces.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 

@@ -1,4 +1,4 @@
-"""Compute a digest of a recording's content. The recordings of two runs have equal digests if their rows are equal."""
+"""Compute a hash of a recording's rows, which is equal for the recordings of two runs with equal rows."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, columns,
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# Texts and wall-clock times depend on the machine and the time of a run.
+# The entities with texts and wall-clock times, which differ between equal runs.
 LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 
 def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
-    """Return a sha256 over the content of a recording. One different bit of a number changes the sha256.
+    """Return a sha256 over the content of a recording, which changes if one bit of a number changes.
 
-    The ids of rows and the boundaries of chunks always differ between recordings. So the digest ignores row ids, chunk
-    boundaries, and the recording's name, id, properties, and layout. The digest also ignores the entities at and below
-    the paths ``without``.
+    The sha256 ignores row ids, chunk boundaries, and the recording's name, id, properties, and layout, which differ
+    between equal runs. The sha256 ignores the entities at and below the paths ``without``.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -37,7 +36,7 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
 
 
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
-    """Return a sha256 over the content of each rerun entity, by entity path."""
+    """Return a sha256 over the rows of each rerun entity, by the entity's path."""
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
     heads = (HIDDEN, *(f"{path}/" for path in left_out))
@@ -50,7 +49,7 @@ def _digest(contents: Contents, entity: str) -> str:
     static = latest(contents.batches(entity, static=True))
     arrays = [(f"static {name}", static[name]) for name in sorted(static)]
     tables = [columns(batch) for batch in contents.batches(entity, static=False)]
-    with suppress(pa.ArrowException):  # Other programs can record rows with different Arrow types.
+    with suppress(pa.ArrowException):  # Another program can record the rows of one entity with different Arrow types.
         tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
     for table in tables:
         rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table

@@ -30,9 +30,9 @@ _MOST_ENVS = 1 << 12
 class Event:
     """One message in the log of a recording.
 
-    ``kind`` is ``episodes``, ``events``, or ``recording``. ``text`` is the message without the environment's name.
-    ``level`` is one of rerun's log levels, such as ``WARN``. None means: all environments, an unknown step or time (s),
-    or no training iteration.
+    ``kind``, the kind of log message, is ``episodes``, ``events``, or ``recording``. ``text`` is the log message
+    without the environment's name. ``level`` is the message's log level, such as ``WARN``. None means: all
+    environments, an unknown step or time (s), or no training iteration.
     """
 
     kind: str
@@ -70,48 +70,48 @@ def _plain_value(value: Any) -> Any:
 
 
 class Recording(EntityRows):
-    """A rerun recording that was read from a file. ``health`` states how much of the file is readable."""
+    """A rerun recording that was read from a file. ``health`` states how much of the recording's file is readable."""
 
     def groups(self) -> list[str]:
         """Return the names of the groups of recorded numbers, such as ``rewards`` and ``joints``."""
         return list(self._names.groups)
 
     def table(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return the rows of an entity, or of a group of entities such as ``rewards``, as a table by control step.
+        """Return the rows of a rerun entity, or of a group of entities such as ``rewards``, as a table by control step.
 
         The table of an entity has the columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one
         list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
 
         The table of a group has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64 column for each
-        number, with NaN for control steps without a row. For rows without the timeline ``step``, the row number is used
-        as control step. The default of ``env_id`` is the first recorded environment. An unknown name raises
-        RunDirectoryError.
+        number, with NaN for control steps without a row. For an entity without the timeline ``step``, the table's
+        column ``step`` contains row numbers. The default of ``env_id`` is the first recorded environment. An unknown
+        name raises RunDirectoryError.
         """
         path = self._resolved(name, env_id)
         return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)
 
     def numbers(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return a table of the numbers of an entity or group, in the format that ``table`` has for a group."""
+        """Return the numbers of a rerun entity or a group of entities, in the format that ``table`` has for a group."""
         return self.columns_of(self._names.numbers_of(self._resolved(name, env_id)))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
-        """Return all recorded numbers of an environment, and those that belong to no environment, by dotted name."""
+        """Return all recorded numbers of one environment and all numbers without an environment, by dotted name."""
         return self._names.all(self.branch(env_id))
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
-        """Return a table of the given numbers, in the format that ``table`` has for a group."""
+        """Return the recorded numbers ``numbers`` as a table, in the format that ``table`` has for a group."""
         return number_groups.table(self, numbers)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:
-        """Return the numbers of an entity or group as an array (rows, width), sorted by control step.
+        """Return the numbers of a rerun entity or group of entities, (rows, width), sorted by control step.
 
-        The method raises RunDirectoryError if the entity has no numbers or if the rows differ in width.
+        ``matrix`` raises RunDirectoryError if the entity has no numbers or if its rows differ in width.
         """
         path = self._resolved(name, env_id)
         return self.matrix(path) if self.has_rows(path) else number_groups.matrix(self, self._names.numbers_of(path))
 
     def names(self, name: str, env_id: int | None = None) -> list[str]:
-        """Return the names of the numbers of an entity or group; an empty list if the numbers have no names."""
+        """Return the names of the numbers of a rerun entity or group of entities; [] if the numbers have no names."""
         path = self._path(name, env_id)
         own = self.number_names(path)
         if own or self.has_rows(path) or path not in self._names.groups:
@@ -119,7 +119,7 @@ class Recording(EntityRows):
         return [number.name for number in self._names.numbers_of(path)]
 
     def events(self, kind: str | None = None, env_id: int | None = None) -> list[Event]:
-        """Return the logged events, sorted by control step. The default is all kinds of events and all environments."""
+        """Return the recorded log messages, sorted by control step; by default of all kinds and all environments."""
         found = [event for entity in self.entities() for event in _events(entity, self)]
         found = [e for e in found if kind in (None, e.kind) and (env_id is None or e.env_id in (None, env_id))]
         return sorted(found, key=lambda event: -1 if event.step is None else event.step)
@@ -129,13 +129,13 @@ class Recording(EntityRows):
         return [key for e in self.entities() if (key := layout.key_below(DOCUMENTS, e)) is not None]
 
     def document(self, name: str) -> str | None:
-        """Return the recorded text document with the given name; None if the document does not exist."""
+        """Return the recorded text document with the given name; None for an unknown name."""
         text = self.static(layout.join(DOCUMENTS, name)).get("text")
         return str(text[0]) if text else None
 
     @cached_property
     def properties(self) -> Mapping[str, Mapping[str, Any]]:
-        """The properties of the recording by name: ``wheelleg``, ``robot``. A list of one value becomes the value."""
+        """The recording's properties by name: ``wheelleg``, ``robot``. A list of one value becomes a plain value."""
         found: dict[str, Mapping[str, Any]] = {}
         for entity in self._contents.pieces:
             root, _, name = entity.partition("/")
@@ -150,13 +150,13 @@ class Recording(EntityRows):
         purpose = self.properties.get(OWN, {}).get("purpose")
         if isinstance(purpose, str):
             return purpose
-        # Old recordings (format 1) contain no properties, so guess the purpose from the entities.
+        # Old recordings (format 1) contain no properties, so guess the recording's purpose from the recorded entities.
         parts = {BRANCH.sub("", entity).split("/")[0] for entity in self.entities()}
         return "training" if layout.TRAINING in parts else "play" if {"rewards", "terminations"} <= parts else None
 
     @cached_property
     def env_ids(self) -> list[int]:
-        """The indices of the recorded environments; [0] if the recording does not contain the indices."""
+        """The indices of the recorded environments; [0] if the recording does not state the indices."""
         stored = self.properties.get(OWN, {}).get("env_ids")
         ids = stored if isinstance(stored, list) else [stored]
         if ids and len(ids) <= _MOST_ENVS and all(isinstance(i, int) and i >= 0 for i in ids):
@@ -167,7 +167,7 @@ class Recording(EntityRows):
 
     @cached_property
     def step_dt(self) -> float | None:
-        """The duration of a control step, s; None if the recording does not contain the duration."""
+        """The duration of a control step, s; None if the recording does not state the duration."""
         stored = as_number(self.properties.get(OWN, {}).get("step_dt"))
         if stored is not None and math.isfinite(stored) and stored > 0:
             return stored
@@ -182,18 +182,15 @@ class Recording(EntityRows):
 
     @cached_property
     def branches(self) -> list[int]:
-        """The indices of the environments that have their own entity path prefix.
-
-        The list is empty if only one environment was recorded.
-        """
+        """The indices of environments with their own entity path prefix; [] if only one environment was recorded."""
         matches = [BRANCH.match(f"{entity}/") for entity in self.entities()]
         return sorted({int(match.group(1)) for match in matches if match})[:_MOST_ENVS]
 
     def branch(self, env_id: int | None = None) -> str:
         """Return the prefix of an environment's entity paths, such as ``env_3/``.
 
-        The returned prefix is empty if only one environment was recorded. The method raises RunDirectoryError if the
-        environment was not recorded.
+        ``branch`` returns an empty prefix if only one environment was recorded, and raises RunDirectoryError if the
+        environment ``env_id`` was not recorded.
         """
         if env_id is not None and env_id not in self.env_ids:
             message = f"environment {env_id} was not recorded in '{self.path}'"

@@ -16,7 +16,7 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, Health, 
 class Repaired:
     """The result of a repair: the file that was read, the repaired file, and the health of the file that was read.
 
-    ``output`` is None if the recording was complete, so that no file was written.
+    ``output``, the repaired file, is None if the original recording was complete.
     """
 
     path: Path
@@ -27,8 +27,8 @@ class Repaired:
 def repair(path: Path, output: Path | None = None) -> Repaired:
     """Write a repaired copy of a recording, which contains every readable message and an index.
 
-    The default output is ``<name>.repaired.rrd`` in the same folder. The function raises RunDirectoryError if the
-    recording is unreadable or the output file already exists.
+    The default output file is ``<name>.repaired.rrd`` in the folder of the recording. ``repair`` raises
+    RunDirectoryError if the recording is unreadable or the output file already exists.
     """
     health = Contents(path).health
     if health.is_whole:
@@ -41,7 +41,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             output.parent.mkdir(parents=True, exist_ok=True)
             written.write_bytes(closed.read_bytes())
             try:
-                os.link(written, output)  # A hard link never replaces an existing file, unlike a rename.
+                os.link(written, output)  # A hard link, unlike a rename, never replaces an existing file.
             except FileExistsError:
                 _require_free(output)
     finally:

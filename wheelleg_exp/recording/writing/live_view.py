@@ -1,4 +1,4 @@
-"""Show a growing recording in rerun's viewer. A child process sends the growing file to the viewer."""
+"""Show a growing recording in rerun's viewer. A child process sends the growing recording to rerun's viewer."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # At runtime, the import of the recorder would import torch a
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
 _POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
-_CHUNKS_PER_FLUSH = 500  # After this number of data chunks, wait until rerun's viewer has received all chunks.
+_CHUNKS_PER_FLUSH = 500  # The number of data chunks after which to wait until rerun's viewer has received them.
 _NOWHERE = f"http://{LOOPBACK}:9"  # Port 9 belongs to the discard service, and no server listens on this port.
 
 
@@ -40,7 +40,7 @@ class ViewerLostError(Exception):
 
 
 def viewer_command(port: int | str) -> list[str]:
-    """Return the command that opens rerun's viewer, which accepts connections from this machine only."""
+    """Return the command that opens a viewer of rerun to which only programs on the same machine can connect."""
     return [rerun_program(), "--bind", LOOPBACK, "--port", str(port), "--expect-data-soon", "--hide-welcome-screen"]
 
 
@@ -56,15 +56,15 @@ def viewer_environment() -> dict[str, str]:
 
 
 class Follower:
-    """Reads a growing recording, and yields each complete message once, even if the file is renamed."""
+    """Reads a growing recording, and yields each complete message once, even if the recording is renamed."""
 
     def __init__(self, path: Path) -> None:
         self._file = RrdFile(path)
         self._place = HEADER_SIZE
-        self._announced = b""  # The message that must precede the data chunks of a recording in every file.
+        self._announced = b""  # The message that precedes the data chunks of a recording in an rrd file.
 
     def chunks(self) -> Iterator[tuple[str, Chunk]]:
-        """Yield each data chunk that was completed since the last call, with the id of the chunk's recording."""
+        """Yield each data chunk that the run completed since the last call, with the id of the chunk's recording."""
         self._file.refresh()
         begin = self._place
         for message in self._file.messages(begin):
@@ -88,7 +88,7 @@ class Follower:
 class Feed:
     """Sends a growing recording, and the layouts in ``folder``, to rerun's viewer at the network port ``port``.
 
-    The function ``is_open`` returns whether the viewer still runs.
+    The function ``is_open`` returns whether the viewer is running.
     """
 
     def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
@@ -131,7 +131,7 @@ class Feed:
 
 
 def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
-    """Open rerun's viewer and send the recording to it. Stop when standard input closes, at the end of the run."""
+    """Open rerun's viewer and send a growing recording to it, until the end of the run closes standard input."""
     port = free_port()
     command = [word.replace("{port}", str(port)) for word in viewer] or viewer_command(port)
     silent = subprocess.DEVNULL
@@ -174,14 +174,14 @@ def free_port() -> int:
 def main(words: list[Any]) -> None:
     """Send the growing recording ``words[0]``, and the layouts in the folder ``words[1]``, to rerun's viewer.
 
-    The remaining elements of ``words``, if any, are the command of a user-defined viewer.
+    The elements of ``words`` after the second are the command of a user-defined viewer.
     """
     os.nice(5)
     folder = Path(words[1])
     try:
         follow(Path(words[0]), folder, words[2:])
     except ViewerLostError as error:
-        with contextlib.suppress(OSError):  # The parent process that prints the message can already have stopped.
+        with contextlib.suppress(OSError):  # The parent process, which prints messages, can have stopped.
             os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -189,11 +189,11 @@ def main(words: list[Any]) -> None:
 
 
 class LiveView:
-    """Shows a recording in a viewer while the run writes the file. A child process sends the file to the viewer.
+    """Shows a recording in rerun's viewer while the run writes the recording's file.
 
-    The run itself only writes the recording's file. So a viewer that is slow, hangs, or fails to start does not slow
-    down the run. The child process stops with the run, but the viewer remains open. ``viewer`` is the command of a
-    user-defined viewer, with the placeholder ``{port}`` for the port.
+    A child process sends the recording to rerun's viewer. The run only writes the recording's file, so that a slow or
+    broken viewer does not slow down the run. The child process stops with the run, but rerun's viewer remains open.
+    ``viewer`` is the command of a user-defined viewer, with the placeholder ``{port}`` for the port.
     """
 
     def __init__(self, recorder: Recorder, viewer: Sequence[str] | None = None) -> None:
@@ -205,12 +205,12 @@ class LiveView:
         words = [sys.executable, "-P", "-m", module, str(recorder.path), str(self._folder), *(viewer or [])]
         self._process: subprocess.Popen[bytes] | None = None
         pipe, silent = subprocess.PIPE, subprocess.DEVNULL
-        with contextlib.suppress(OSError):  # Without a child process, the run continues without a live viewer.
+        with contextlib.suppress(OSError):  # If the child process cannot start, the run continues without a viewer.
             self._process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=silent, start_new_session=True)
             threading.Thread(target=_print_messages, args=(self._process,), daemon=True).start()
 
     def close(self) -> None:
-        """Close the standard input of the child process. Then the child process sends the remaining data and stops."""
+        """Close the standard input of the child process, so that it sends the remaining data and stops."""
         if self._process is not None and self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()

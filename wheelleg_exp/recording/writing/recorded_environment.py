@@ -31,7 +31,7 @@ ROBOT = "robot"
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
 
-    The entries of ``given`` (run id, task, checkpoint) override entries of equal name that are computed from the
+    Entries of ``given`` (run id, task, checkpoint) replace entries with equal names that are computed from the
     environment.
     """
     found: dict[str, Any] = {
@@ -68,7 +68,7 @@ def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
 
 
 def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
-    """Yield the names, weights, and widths of the terms of each manager, in the manager's order."""
+    """Yield the names, weights, and widths of each manager's terms, in the manager's order."""
     observations, actions = env.observation_manager, env.action_manager
     for group, terms in observations.active_terms.items():
         widths = [math.prod(shape) for shape in observations.group_obs_term_dim[group]]
@@ -108,7 +108,7 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
 
 
 MEGABYTE = 1_000_000
-# The measured sizes in bytes: metadata and index entry of a data chunk, three times of a row, transform, number.
+# Measured sizes in an rrd file, bytes: metadata and index entry of a data chunk, three times of a row, pose, number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 
 # Arrow lengths are proportional to the robot's height, so that arrows are visible for robots of any size.
@@ -124,10 +124,10 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 
 
 class RecordedEnvironment:
-    """One recorded environment. ``place`` is its index in the row of environments in the viewer's 3D view.
+    """One recorded environment. ``place`` is the environment's position in the viewer's 3D view.
 
-    Recorded poses are relative to the environment's origin at construction, so that the robot starts at the centre of
-    the 3D view. ``stamps`` contains the times of the buffered frames.
+    Recorded poses are relative to the origin of the environment at the start of the recording, so that the robot starts
+    at the centre of the 3D view. ``stamps`` contains the times of all buffered frames.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -146,7 +146,7 @@ class RecordedEnvironment:
         self.frames = Frames(recorded_frames.environment_channels(env, env_id, paths, self.episodes))
         self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
-        # Read every channel once, so that a wrong width raises an error at construction instead of during a rollout.
+        # Read each recorded quantity once, so that a quantity with a wrong width raises an error before the rollout.
         self.frames.append()
         self.frames.clear()
         self._draw(env)
@@ -167,9 +167,9 @@ class RecordedEnvironment:
         )
 
     def frame_bytes(self, rows_together: int) -> float:
-        """Return an upper estimate of a frame's bytes in the file; ``rows_together`` frames are written together."""
+        """Return an upper estimate of a frame's bytes in a recording with ``rows_together`` frames per data chunk."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # The angles, the norms and arrows of contact forces, and the velocity arrows are entities without a channel.
+        # Angles, the norms and arrows of contact forces, and velocity arrows are rerun entities without a channel.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
@@ -177,7 +177,7 @@ class RecordedEnvironment:
         return content + _CHUNK * entities / rows_together
 
     def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
-        """Add the environment's state after a control step to the buffer. ``ends`` is true if the episode ended."""
+        """Add the environment's state after a control step to the buffer. ``ends`` states whether the episode ended."""
         self.episodes.advance(stamp.step, episode_step)
         self.sample.steps.append(stamp.step)
         self.sample.took(ends=ends)
@@ -257,7 +257,7 @@ class RecordedEnvironment:
         for geom in colliders:
             if archetypes := shape(self._model, geom):
                 # A collision shape moves with its MuJoCo body.
-                # All collision shapes are below one entity path, so that one click in the viewer hides all of them.
+                # All collision shapes are below one entity path, so that one click in the viewer hides all shapes.
                 shown = [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
                 yield f"{place}/{join(geom_name(self._model, geom))}", shown
 
@@ -280,7 +280,7 @@ class RecordedEnvironment:
 def series(names: Any, first: int = 0) -> Any:
     """Return the rerun archetype with the names and colours of the lines in a plot.
 
-    The colours of commands and targets are paler than the colours of measured values.
+    Commands and targets have paler colours than measured values.
     """
     shades = [np.array(_PALETTE[(first + i) % len(_PALETTE)]) for i in range(len(names))]
     for i, name in enumerate(names):

@@ -1,8 +1,7 @@
 """Data that is recorded between frames: ends of episodes, interval events, messages, and training scalars.
 
 A rerun data chunk of one row has about 1.5 kB of metadata, so the training scalars of several iterations are written
-together. So if a training is killed, the recording lacks the last training scalars. ``iterations.jsonl`` contains all
-of them.
+together. The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all of them.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ Columns = tuple[str, list[Stamp], Any]
 class EventLog:
     """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events of a control step fire after the step is recorded, so the recorder logs interval events at the next
-    control step or between two control steps.
+    Interval events of a control step happen after this control step is recorded. The recorder logs interval events at
+    the next control step or between two control steps.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -40,10 +39,7 @@ class EventLog:
         self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
 
     def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
-        """Log which episodes ended at a recorded control step, and why.
-
-        The method ``look_back`` logs the interval events of the control step later.
-        """
+        """Log the episodes that ended at a control step, with causes; ``look_back`` logs interval events later."""
         manager = self._env.termination_manager
         for env_id, paths in envs:
             failed = bool(host_copy(manager.terminated[env_id]))
@@ -55,14 +51,14 @@ class EventLog:
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Log the interval events after the last recorded control step, if this was control step ``step``."""
+        """Log the interval events of the last recorded control step, if the number of this control step is ``step``."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # If all environments share an event timer, there is one flag for all environments.
+                # If all environments share the timer of an event, one flag applies to all environments.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
@@ -72,7 +68,7 @@ class EventLog:
         self._lines[layout.join(layout.LOG, RECORDING)].append((stamp, text, level))
 
     def pieces(self) -> Iterator[Columns]:
-        """Yield the new log entries as columns of rerun entities, and clear the buffer."""
+        """Yield the buffered log messages as columns of rerun entities, and clear the buffer."""
         for entity, entries in self._lines.items():
             stamps, texts, levels = map(list, zip(*entries, strict=True))
             yield entity, stamps, rr.TextLog.columns(text=texts, level=levels)
@@ -85,7 +81,7 @@ class EventLog:
 class TrainingScalars:
     """A buffer of the training scalars that are not yet written to the recording.
 
-    ``keys`` contains all scalar keys in the order of their first occurrence.
+    ``keys`` contains the keys of all training scalars in the order of their first occurrence.
     """
 
     def __init__(self, keys: Sequence[str] = ()) -> None:
@@ -94,7 +90,7 @@ class TrainingScalars:
         self._iterations = 0
 
     def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
-        """Add the training scalars of an iteration. Return whether the iteration has a new scalar."""
+        """Add the scalars of a training iteration. Return whether a scalar has a key that no earlier iteration had."""
         new = [key for key in values if key not in self.keys]
         self.keys += new
         for key, value in values.items():

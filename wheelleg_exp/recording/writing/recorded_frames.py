@@ -1,4 +1,4 @@
-"""Read the numbers of a recorded frame from the environment, and buffer frames until they are written to the file."""
+"""Read the numbers of a recorded frame from the environment, and buffer frames until the recording is written."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Channel:
     """One row of numbers in each frame: its name, the names of the numbers, and a function that reads the row.
 
     ``entities`` contains one rerun entity for the whole row or one rerun entity per number. ``entities`` is empty if
-    the row is only used to draw shapes.
+    the row of numbers is only used to draw shapes.
     """
 
     key: str
@@ -42,7 +42,7 @@ class Channel:
 def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
     """Return the recorded quantities (channels) of one environment's robot and managers.
 
-    Body poses are not channels, because body poses are computed from ``qpos`` when the frames are written.
+    Body poses are not channels, because the recorder computes body poses from ``qpos`` when it writes the frames.
     """
     parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
     channels = [channel for part in parts for channel in part(env, env_id, paths)]
@@ -62,7 +62,7 @@ def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) ->
 
 
 def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a function that reads one environment's row of a tensor as a flat array."""
+    """Return a function that returns one environment's row of the tensor ``read()`` as a flat array."""
     return lambda: host_copy(read()[env_id]).ravel()
 
 
@@ -100,7 +100,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
         term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
-            # Each component of a command has its own entity, so that a plot can show it with the measured value.
+            # Each command component has its own entity, so that a plot can show it with its measured value.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
@@ -150,7 +150,7 @@ class Stamp:
 
 
 class Frames:
-    """A buffer of one environment's frames since the last flush. Each frame contains the numbers of ``channels``."""
+    """A buffer of one environment's frames since the last flush; each frame contains the numbers of ``channels``."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.channels = list(channels)
@@ -160,7 +160,7 @@ class Frames:
         self.count = 0
 
     def append(self) -> None:
-        """Read all channels, and add the numbers as a new frame to the buffer."""
+        """Read the numbers of all channels, and add them as a new frame to the buffer."""
         if self.count == len(self._rows):
             self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
         row = self._rows[self.count]
@@ -169,7 +169,7 @@ class Frames:
         self.count += 1
 
     def blocks(self) -> dict[str, Array]:
-        """Return the buffered rows (n, width) of each channel by the key of the channel."""
+        """Return the n buffered rows of each channel, (n, width), by the channel's key."""
         rows = self._rows[: self.count]
         return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
 
@@ -179,14 +179,14 @@ class Frames:
 
 
 class Episodes:
-    """A counter of recorded episodes. A recorded row that does not continue the previous row starts a new episode."""
+    """A counter of recorded episodes. A recorded row that does not follow the previous row starts a new episode."""
 
     def __init__(self) -> None:
         self.number = -1
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Count a recorded row with the given control step and the given step within the episode, from 1."""
+        """Count a recorded row with the given control step of the run and the given step within the episode, from 1."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step

@@ -25,7 +25,7 @@ from wheelleg_exp.recording.writing.recording_file import RecordingFile
 from wheelleg_exp.recording.writing.resume_recording import EarlierRecording
 from wheelleg_exp.state.tensor_trees import host_copy
 
-# At least 16 frames are written together, because each data chunk in the file has about 1.5 kB of metadata.
+# Write at least 16 frames together, because each data chunk of a recording has about 1.5 kB of metadata.
 ROWS_TOGETHER = 16
 _US = 1e6
 _FACE, _CELL, _TEXTS = 150, 40, 2 * recorded_environment.MEGABYTE
@@ -35,11 +35,11 @@ class Recorder:
     """Writes the motion, numbers, and messages of selected environments to a rerun file.
 
     A recorder draws no random numbers and changes no environment state, so rollouts are bitwise equal with and without
-    a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes the
-    frames to the file.
+    a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes them to
+    the rerun file.
 
-    The timelines are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the step duration) and,
-    if a training iteration is given, ``iteration``.
+    The timelines of the rerun file are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the
+    step duration) and, if a training iteration is given, ``iteration``.
 
     Args:
         path: the file.
@@ -90,16 +90,16 @@ class Recorder:
             raise
 
     def frames_within(self, megabytes: float) -> int:
-        """Return a number of frames that certainly fits into a file of ``megabytes`` MB."""
+        """Return a number of frames that certainly fit into a recording of ``megabytes`` MB."""
         return max(int((megabytes * recorded_environment.MEGABYTE - self._static_bytes()) / self._frame_bytes()), 0)
 
     def megabytes(self, frames: int) -> float:
-        """Return a file size in MB, rounded up to a tenth, that is large enough for the given number of frames."""
+        """Return a size in MB, rounded up to a tenth, that a recording of the given number of frames cannot exceed."""
         room = frames * self._frame_bytes() + self._static_bytes()
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def _static_bytes(self) -> float:
-        # Estimate an upper bound of the bytes of all shapes, texts, and names.
+        # Estimate an upper bound for the size of all shapes, texts, and names, in bytes.
         model, environments = self._env.scene.model, len(self._environments)
         return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
@@ -109,9 +109,8 @@ class Recorder:
     def start(self, iteration: int | None = None, steps: int | None = None, *, last_words: str = "") -> None:
         """Start a segment: from now on, ``capture`` records every selected environment.
 
-        After ``steps`` frames, the segment stops and logs the message ``last_words``. None means unlimited.
-        ``iteration`` is the training iteration of the frames. Assign the attribute ``iteration`` to change the
-        iteration later.
+        After ``steps`` frames, the recording pauses and logs the message ``last_words``. None means unlimited.
+        ``iteration`` is the training iteration of the recorded frames. Assign the attribute ``iteration`` to change it.
         """
         self.iteration, self.captured = iteration, 0
         self._limit, self._last_words = -1 if steps is None else steps, last_words
@@ -120,9 +119,9 @@ class Recorder:
     def sample(self, due: int, enough: int, most: int) -> None:
         """Start or resume a sample of each environment, a sequence of complete episodes that ``capture`` records.
 
-        Episodes of the sample start after the control step ``due``. After ``enough`` frames of an environment, no
-        further episode is recorded. The value 0 records nothing. After ``most`` frames, the current episode is
-        truncated.
+        Episodes of a sample start after the control step ``due``. After ``enough`` frames of an environment, a sample
+        ends with the environment's current episode. If ``enough`` is 0, a sample is empty. After ``most`` frames, a
+        sample ends within an episode.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:
@@ -132,16 +131,16 @@ class Recorder:
             recorded.sample.begin(enough, most, taken=taken, is_in_episode=goes_on)
 
     def frames_until(self, step: int) -> int:
-        """Return the largest number of frames that any environment recorded up to a control step."""
+        """Return the largest number of recorded frames of any environment up to a control step."""
         return max(bisect_right(recorded.sample.steps, step) for recorded in self._environments)
 
     def stop(self) -> None:
-        """Stop the segment and write the buffered frames to the file."""
+        """Stop recording motion and write the buffered frames to the recording."""
         self._active = False
         self.flush()
 
     def capture(self) -> None:
-        """Record the environments' state after a control step, but only during a segment or a sample."""
+        """Record the environments' states after a control step, if ``start`` or ``sample`` requested these states."""
         step = self._env.common_step_counter
         self._events.look_back(step - 1)
         lengths = host_copy(self._env.episode_length_buf)
@@ -174,7 +173,7 @@ class Recorder:
         self._events.say(text, level, self._stamp(self._env.common_step_counter))
 
     def document(self, name: str, text: str) -> None:
-        """Record a markdown text as ``documents/<name>``. The text replaces an earlier text with the same name."""
+        """Record a markdown text as ``documents/<name>``, which replaces an earlier text with the same name."""
         archetype = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._file.static(layout.join(layout.DOCUMENTS, name), archetype)
         if name not in self._documents:
@@ -182,11 +181,11 @@ class Recorder:
             self._stale = True
 
     def has_document(self, name: str) -> bool:
-        """Return whether the recording, or the earlier recording that is resumed, contains a text with the name."""
+        """Return whether the recording, or the earlier recording that is resumed, contains the text ``name``."""
         return name in self._documents
 
     def flush(self, *, everything: bool = True) -> None:
-        """Write the buffered data to the file. Raise SimulationFailure if writing fails, for example on a full disk.
+        """Write the buffered data to the recording. Raise SimulationFailure if writing fails, such as on a full disk.
 
         Without ``everything``, small amounts stay in memory: scalars of a few iterations, and a few frames.
         """
@@ -206,7 +205,7 @@ class Recorder:
         self._file.flush()
 
     def close(self) -> None:
-        """Write the buffered data to the file and close the file. A second call does nothing."""
+        """Write the buffered data to the recording and close it. A second call does nothing."""
         self._active = False
         if self._file.is_open:
             try:
@@ -216,7 +215,7 @@ class Recorder:
 
     @property
     def unfinished(self) -> str | None:
-        """The reason why the closed file has no index; None if the file has an index or is open."""
+        """The reason why the closed recording has no index; None if the recording has an index or is open."""
         return self._file.unfinished
 
     def blueprint(self) -> Any:
@@ -272,7 +271,7 @@ class Recorder:
 
 
 def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
-    """Return the rerun timelines of frames. The timeline ``iteration`` exists only if all frames have an iteration."""
+    """Return the rerun timelines of frames; ``iteration`` exists only if all frames belong to training iterations."""
     steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
     sim_times = rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]"))
     columns = [rr.TimeColumn(layout.STEP, sequence=steps), sim_times]

@@ -19,11 +19,11 @@ from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, e
 
 
 class RecordingFile:
-    """A growing recording. Added data stays in memory until ``flush`` writes the data to the file ``path``.
+    """A growing recording. Added data stays in memory until ``flush`` writes it to the file ``path``.
 
-    If ``aside`` is true, the file has a temporary name until ``take_place`` is called. ``unfinished`` is the reason why
-    the closed file has no index; None if the file has an index or is open. The constructor raises RunDirectoryError if
-    the file exists. Methods raise SimulationFailure if writing fails.
+    If ``aside`` is true, the recording's file has a temporary name until ``take_place`` is called. ``unfinished`` is
+    the reason why a closed recording has no index; None for a recording that has an index or is open. ``RecordingFile``
+    raises RunDirectoryError if the file ``path`` exists. Methods raise SimulationFailure if writing fails.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
@@ -35,7 +35,7 @@ class RecordingFile:
         self._chunks: list[Chunk] = []
         self._blueprint: Any = None
         self._written = temporary_name(path) if aside else path
-        # Raise an error if the file exists, so that two recorders never write to the same file.
+        # Raise an error for an existing file, so that two recorders never write to the same file.
         with for_people(self._written):
             self._written.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -58,7 +58,7 @@ class RecordingFile:
         self._chunks.append(Chunk.from_columns(entity, [], columns.values()))
 
     def property(self, name: str, values: dict[str, Any]) -> None:
-        """Set a named property of the recording, a dictionary of values."""
+        """Set a named property of a recording, a dictionary of values."""
         self.static(join(PROPERTIES, name), rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:
@@ -70,7 +70,7 @@ class RecordingFile:
         self._chunks += chunks
 
     def blueprint(self, blueprint: Any) -> None:
-        """Set the default layout of rerun's viewer for the recording."""
+        """Set the default layout of rerun's viewer for a recording."""
         self._blueprint = blueprint
 
     def take_place(self) -> None:
@@ -94,7 +94,7 @@ class RecordingFile:
         self._written.unlink(missing_ok=True)
 
     def flush(self) -> None:
-        """Write all buffered chunks and the layout to the file."""
+        """Write all buffered data chunks and the viewer's layout to the recording's file."""
         chunks, self._chunks = self._chunks, []
         blueprint, self._blueprint = self._blueprint, None
         with self._guarded():
@@ -104,7 +104,7 @@ class RecordingFile:
                 self._write(encoded_blueprint(blueprint))
 
     def close(self) -> None:
-        """Close the file, merge the file's small chunks, and write an index. A second call does nothing."""
+        """Close the recording's file, merge its small chunks, and write an index. A second call does nothing."""
         if not self.is_open:
             return
         try:
@@ -123,7 +123,7 @@ class RecordingFile:
 
     def _close(self) -> None:
         self.is_open = False
-        with self._guarded():  # Some file systems report a full disk only at the close of a file.
+        with self._guarded():  # Some file systems report a full disk only when a file is closed.
             os.close(self._descriptor)
 
     @contextmanager

@@ -20,7 +20,7 @@ from wheelleg_exp.sim.robot import Robot
 def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
     """Return qpos (nq,) with every joint at its default position and the base at its pose in the MuJoCo model.
 
-    Arrow lengths are proportional to the robot's height, so the height is computed at the default pose.
+    Lengths of arrows are proportional to the robot's height at the default pose.
     """
     qpos: Array = model.qpos0.copy()
     for joint, position in zip(robot.joint_names, robot.layout.default_joint_pos.flatten().tolist(), strict=True):
@@ -53,7 +53,7 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 
 def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
-    """Return rerun's archetypes of a MuJoCo geom in its body's frame; empty for a plane or signed distance field.
+    """Return rerun's archetypes of a MuJoCo geom in its body's frame; [] for a plane or signed distance field.
 
     MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a rerun capsule
     is the centre of one cap, at half the capsule's length along the geom's z axis.
@@ -115,7 +115,7 @@ Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the buffered numbers of all channels with an entity, as rerun columns."""
+    """Yield the buffered numbers of all channels (recorded quantities) with a rerun entity, as rerun columns."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -138,7 +138,7 @@ def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the poses of MuJoCo bodies as rerun columns. ``bodies`` maps a body's model id to its rerun entity."""
+    """Yield the poses of MuJoCo bodies as rerun columns. ``bodies`` maps a body's MuJoCo id to its rerun entity."""
     position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
         yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
@@ -148,7 +148,7 @@ def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
 class Contacts:
     """Draws the contact forces of one contact sensor, as numbers and as arrows at the bodies in contact.
 
-    ``bodies`` are the model ids of the sensed bodies, and ``scale`` is the arrow length in m/N.
+    ``bodies`` are the MuJoCo ids of the sensor's bodies, and ``scale`` is the arrow length in m/N.
     """
 
     sensor: str
@@ -170,8 +170,8 @@ class Contacts:
 class VelocityArrows:
     """Draws arrows above the base for the commanded and the actual planar velocity.
 
-    ``command`` is the channel of the velocity command, ``root`` the model id of the base, ``lift`` the height of the
-    arrows above the base in m, and ``scale`` the arrow length in m per m/s.
+    ``command`` is the channel of the velocity command, and ``root`` is the MuJoCo id of the base. ``lift`` is the
+    height of the arrows above the base, m, and ``scale`` is the arrow length in m per m/s.
     """
 
     command: str
@@ -194,8 +194,8 @@ class VelocityArrows:
 class Ground:
     """Draws a checkered ground patch that follows the robot in steps of whole tiles, so that the ground looks infinite.
 
-    ``root`` is the model id of the base. ``tile`` is the edge length of a tile in m. ``tiles`` is the number of tiles
-    along an edge of the patch, and must be even. ``origin`` is the point of the ground plane below the environment's
+    ``root`` is the MuJoCo id of the base. ``tile`` is the edge length of a ground tile, m. ``tiles``, the number of
+    tiles along an edge of the patch, must be even. ``origin`` is the point of the ground plane below the environment's
     origin, m.
     """
 
@@ -218,7 +218,7 @@ class Ground:
         return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, **drawn)
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield the position of the ground patch near the base, a multiple of two tiles so that colours do not flip."""
+        """Yield the ground patch's position: a multiple of two tiles near the base, so that colours do not flip."""
         del paths
         step = 2 * self.tile
         snapped = step * np.round(np.nan_to_num(blocks["xpos"][:, self.root, :2]) / step)

@@ -27,10 +27,10 @@ _SCALARS = "Scalars:scalars"
 class EarlierRecording:
     """Reads the rows of an earlier recording up to a control step, for a recorder that continues the recording.
 
-    An incomplete last message of the earlier recording is omitted. The file does not change. ``last`` contains the last
-    control step and value of each episode counter and each counter of an episode's control steps. ``steps`` contains
-    all recorded control steps of these counters. The constructor raises RunDirectoryError if the file is damaged or was
-    written by another program.
+    An incomplete last message of the earlier recording is omitted. The earlier recording does not change. ``last``
+    contains the last control step and the last value of each counter of episodes or of an episode's control steps.
+    ``steps`` contains all control steps at which the counters were recorded. ``EarlierRecording`` raises
+    RunDirectoryError if the earlier recording is damaged or from another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:
@@ -93,8 +93,7 @@ class EarlierRecording:
 def move_aside(path: Path, *, go_on: bool) -> str | None:
     """Rename an earlier recording that cannot be continued, and remove the files of an interrupted resume.
 
-    Return a message for the user if the earlier recording is missing or was renamed, or else None. For a run that was
-    not resumed, the result is None.
+    Return a message for the user if a resumed run's earlier recording is missing or was renamed, or else None.
     """
     if not go_on:
         return None
