@@ -1,4 +1,4 @@
-"""Make the conversion report from the robot description and records; find missing colliders and implausible sizes."""
+"""Make the conversion report of a robot; find missing colliders and implausible sizes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Read a URDF file into a robot description and a conversion report.
 
-Limits and couplings follow the URDF specification.
+The converter interprets joint limits and mimic joints as the URDF specification defines.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-PLANAR = ("_transX", "_transY", "_rotZ")  # name endings of the two slides and the hinge of a planar joint
+PLANAR = ("_transX", "_transY", "_rotZ")  # the endings of the names of a planar joint's two slides and hinge
 
 Range = tuple[float, float]
 
@@ -191,7 +191,7 @@ def _coupling(
 
 SUFFIXES = (".urdf",)
 EARTH = 9.81
-SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF always uses SI units
+SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # A URDF always uses SI units.
 
 
 def read_urdf(source: Path, base: desc.BaseMode) -> tuple[desc.RobotDescription, Report]:
@@ -247,11 +247,11 @@ class _Builder:
     def build(self) -> tuple[desc.RobotDescription, Files]:
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids, self.base)
-        # The world link is MuJoCo's world body; its shapes become static geoms.
+        # The URDF's world link becomes MuJoCo's world body, so the shapes of this link become static geoms.
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
-        # Order the bodies by tree, because a link on a floating joint is the root of a separate tree.
+        # Order the bodies by tree, because a link on a floating joint is the root of a separate body tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
         children: dict[str | None, list[desc.Body]] = {}
         for body in bodies:

@@ -20,14 +20,14 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # products of numbers above this limit could overflow
+HUGEST = 1e30  # Products of numbers above this limit could overflow.
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """The required type of a USD value. ``length`` is a vector's length; ``endless`` allows infinite numbers."""
+    """The required type of a USD value; ``length`` is a vector's length, and ``endless`` allows infinite numbers."""
 
     what: What
     length: int = 1
@@ -173,15 +173,15 @@ class Ledger:
         self.authored: dict[str, dict[str, Any]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return an attribute's authored value as plain Python, or None, and record the MJCF part made from it.
+        """Return a USD attribute's authored value as plain Python, or None, and record the MJCF part made from it.
 
-        The method also reads attributes of schemas that the USD library does not know.
+        The method can read attributes of schemas that the USD library does not know.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return None
         value = value_of(attribute, kind_of(name))
-        # The report shows the joint numbers of the USD file next to the converted joint numbers.
+        # The conversion report shows the joint numbers of the USD file next to the converted joint numbers.
         if isinstance(value, (float, int, str)) and prim.IsA(UsdPhysics.Joint):
             self.authored.setdefault(str(prim.GetPath()), {})[name] = value
         if became and value is not None:
@@ -211,11 +211,11 @@ class Ledger:
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
-        """Record a warning; a warning with an already recorded text is ignored."""
+        """Record a warning, unless a warning with the same text is already recorded."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Record a finding once for each kind, subject, and path; ``conversion_report`` lists the kinds and numbers."""
+        """Record a finding unless the same finding exists; ``conversion_report`` lists the kinds of findings."""
         plain_numbers = {name: float(value) for name, value in numbers.items()}
         self._found[kind, subject, str(path)] = Finding(kind, subject, str(path), plain_numbers)
 

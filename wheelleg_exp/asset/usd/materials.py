@@ -1,4 +1,4 @@
-"""Read colours and friction from bound materials and display colours."""
+"""Read the colours and friction of USD shapes from bound materials and display colours."""
 
 from __future__ import annotations
 
@@ -96,9 +96,9 @@ def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
 def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's default.
 
-    For files with MuJoCo's own USD schemas the function returns None, which means MuJoCo's default friction.
+    For a USD file with MuJoCo's own schemas, the friction is None, which means MuJoCo's default friction.
     """
-    # As in PhysX, a shape's own material overrides the scene's default material. A constant is the last fallback.
+    # As in PhysX, a shape's own material overrides the scene's default material; without both, a constant is used.
     defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
     material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:

@@ -33,21 +33,21 @@ WORDS = {"cone": {"pyramidal", "elliptic"}}
 
 
 def numbers(stage: Stage, prim: Usd.Prim, name: str, became: str) -> tuple[float, ...] | None:
-    """Return the numbers of an array attribute, None if the array is empty or not authored."""
+    """Return the numbers of a USD array attribute; None if the array is empty or not authored."""
     value = stage.ledger.read(prim, name, became)
     found = None if value is None else tuple(float(v) for v in np.atleast_1d(value))
     return found if found and _fits(stage, prim, name, became, found) else None
 
 
 def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
-    """Return the integers of an array attribute, [] if the array is not authored."""
+    """Return the integers of a USD array attribute; [] if the array is not authored."""
     return [int(v) for v in numbers(stage, prim, name, became) or ()]
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
     """Return the authored values of attributes; ``names`` maps USD attribute names to MJCF attribute names.
 
-    A value that is not finite means MuJoCo's default and is omitted.
+    An attribute value that is not finite means MuJoCo's default and is omitted.
     """
     found: dict[str, Attribute] = {}
     for name, became in names.items():
@@ -215,7 +215,7 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
 
 
 def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
-    """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
+    """Return the tendons whose sites, geoms, and joints are all in the MJCF; arguments map prim paths to MJCF names."""
     found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(tendon_prims(stage)))
     return tuple(tendon for tendon in found if tendon is not None)
 
@@ -242,7 +242,7 @@ def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names
 
 
 class _BrokenPath(Exception):
-    """The path of a tendon is invalid; the error message gives the reason."""
+    """The path of a tendon in the USD file is invalid; the error message gives the reason."""
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:

@@ -1,6 +1,6 @@
 """Open the USD layers of a stage before composition, and report the missing layers after composition.
 
-The USD library opens every file that a layer names, and would wait forever for a pipe.
+The USD library opens every file that a layer names, and would wait forever for data from a named pipe.
 
 A missing texture, material library, or visual layer is reported and skipped. A missing physics layer is an error,
 because bodies, joints, and colliders would vanish silently. What was referenced from a layer, and where, decides its
@@ -23,7 +23,7 @@ from wheelleg_exp.errors import AssetError
 def open_layers(source: Path) -> list[Sdf.Layer]:
     """Open all layers of a USD stage, including the layers of all variants.
 
-    The layers stay open as long as the returned list exists.
+    The USD layers stay open as long as the returned list exists.
     """
     identifier = str(source.resolve())
     require_plain_file(source, "a layer of USD")

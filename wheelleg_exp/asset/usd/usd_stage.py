@@ -52,7 +52,7 @@ class Units:
         return value * self.kilograms / self.meters**3
 
     def inertia(self, value: float) -> float:
-        """Convert a moment of inertia to kg·m²."""
+        """Convert a moment of inertia from stage units to kg·m²."""
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
@@ -60,7 +60,7 @@ class Units:
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
-        """Convert a torque or force to N·m or N."""
+        """Convert a torque or force from stage units to N·m or N."""
         return rounded(value * self.kilograms * self.meters ** (2 if angular else 1))
 
     def gain(self, value: float, angular: bool) -> float:
@@ -94,7 +94,7 @@ def effort_limit(value: float | None) -> float | None:
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
     """Select variants on the stage's session layer. Return the selected variant of each variant set.
 
-    A selection applies to the first prim with the variant set, starting at the default prim.
+    A variant selection applies to the first prim with the variant set, starting at the default prim.
     """
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
@@ -203,7 +203,7 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
-        # Set attributes that have only time samples to their first sample, in memory; return their paths.
+        # Set USD attributes that have only time samples to their first sample, in memory; return their paths.
         sampled = []
         for layer in usd.GetUsedLayers():
             if not layer.ListAllTimeSamples():
@@ -321,7 +321,7 @@ def _hashes(usd: Usd.Stage, source: Path) -> dict[str, str]:
 
 
 def file_hash(path: Path) -> str:
-    """Return the sha256 of a file."""
+    """Return the sha256 hash of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

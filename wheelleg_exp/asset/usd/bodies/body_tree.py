@@ -55,7 +55,7 @@ class Tree:
     closures: list[Joint] = field(default_factory=list)
 
     def depth_first(self) -> list[Node]:
-        """Return the tree's nodes in depth-first order."""
+        """Return the nodes of the spanning tree in depth-first order."""
         children: dict[str | None, list[Node]] = {}
         for node in self.nodes:
             children.setdefault(node.parent.path if node.parent else None, []).append(node)
@@ -82,10 +82,10 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return a loop joint that no equality can replace, and another joint of the loop that is opened instead; or None.
+    """Return a loop's closing joint that no MuJoCo equality can replace, and the joint to open instead; or None.
 
-    The joint that is opened instead has no drive, and an equality can replace this joint. If the loop has several
-    joints without a drive that an equality can replace, the joint furthest from the root is returned.
+    The joint to open instead has no drive, and a MuJoCo equality can replace it. If the loop has several joints without
+    a drive that an equality can replace, the joint furthest from the root is returned.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -162,10 +162,10 @@ def _leave_coordinates(stage: Stage, joint: Joint) -> None:
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
-    The tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from the root.
-    If no equality can replace the opened joint, a different joint of the loop is opened if possible.
+    The spanning tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from
+    the root. If no equality can replace the opened joint, a different joint of the loop is opened if possible.
 
-    The base ``floating`` drops joints that fix a root to the world; ``fixed`` removes the free joint.
+    The base mode ``floating`` drops joints that fix a root to the world; ``fixed`` drops the free joint of the root.
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
@@ -173,7 +173,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # The exchange of the opened joint changes the whole tree, so the tree is built again after each exchange.
+    # Opening a loop at a different joint changes the whole tree, so the tree is built again after each such change.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
@@ -293,7 +293,7 @@ class _Builder:
             relative, floating = link.frame, self.base != "fixed" and not link.kinematic
         else:
             side = joint.side(link)
-            # If the joint's coordinates are zero, the joint's frames in the two bodies coincide.
+            # If the coordinates of a USD joint are zero, the joint's frames in its two bodies coincide.
             relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
         above = self._placed[parent.path] if parent else Frame.identity()
