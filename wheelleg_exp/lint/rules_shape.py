@@ -19,19 +19,19 @@ from wheelleg_exp.sim.names import match_names
 _ASSET = "env.robot.asset"
 _TOUCHES = 2e-3  # Soft contacts allow overlaps below this share of the robot's size.
 _DEEP = 0.25  # Two links that a joint connects may overlap by this share of the robot's size.
-_STANDS = 5e-3  # A body this near to the lowest point, as a share of the robot's size, touches the ground.
-_BUMP = 0.05  # The radius of a wheel may vary by this share around its rim.
+_STANDS = 5e-3  # A body this near to the robot's lowest point, as a share of the robot's size, touches the ground.
+_BUMP = 0.05  # The radius of a wheel may vary by this share around the wheel's rim.
 _UNEQUAL = 0.02  # The radii of the left and right wheels may differ by this share.
 _SHOWN = 4  # pairs in one message
 
 
 @rule
 def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Two bodies overlap at the start and can push each other apart.
+    """Two bodies of the robot overlap at the start and can push each other apart.
 
-    The contact force throws overlapping bodies apart in the first step. MuJoCo disables contacts between two bodies
-    that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's size.
-    Source: MuJoCo's own collision detection at the default pose; MuJoCo documentation, Computation, "Collision
+    The contact force pushes overlapping bodies apart in the first physics step. MuJoCo disables contacts between two
+    bodies that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's
+    size. Source: MuJoCo's own collision detection at the default pose; MuJoCo documentation, Computation, "Collision
     detection", on which pairs are checked.
     """
     size = robot.anatomy.size
@@ -55,10 +55,10 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A contact termination concerns a body that touches the ground or another body at the start.
+    """A contact termination watches a body that touches the ground or a second body at the start.
 
-    The rule reports a body that is as low as the robot's lowest point, or inside another body. The contact ends every
-    episode within the first steps, and the policy learns nothing. Source: kinematics of the default pose.
+    The rule reports a body that is as low as the robot's lowest point, or that overlaps a second body. Contact at the
+    start ends every episode at once, and the policy learns nothing. Source: kinematics of the default pose.
     """
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
@@ -111,19 +111,19 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
 
 _LEAN = 0.06  # A policy easily corrects a lean below this value, rad.
 _DRAWN_LEAN = 0.17  # The allowed lean in the pose of a robot file, rad, which nobody has chosen for balance.
-_EDGE = 0.1  # The smallest distance of the centre of mass from an end of the support, as a share of its length.
+_EDGE = 0.1  # The smallest distance of the centre of mass from the outer wheel contacts, as a share of their distance.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
 
 @rule
 def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The centre of mass is not above the wheels at the start.
+    """The robot's centre of mass is not above the wheels at the start.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. The rule solves the kinematics for the balanced
-    pose in its hint. On several axles, the robot's centre of mass must be between the outermost wheel contacts. Source:
-    statics of the inverted pendulum.
+    of mass of the parts above the axle is vertically above the axle. The hint of this rule contains the balanced pose,
+    which the rule computes from the kinematics. On several axles, the robot's centre of mass must be between the
+    outermost wheel contacts. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
         return
@@ -207,7 +207,7 @@ _PLACE = 0.015  # The allowed distance between a joint and its mirror image, as 
 _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
 _CENTRE = 0.02  # The allowed distance between a centre of mass and its mirror image, as a share of the robot's size.
-_ANGLE = 0.02  # The limits and positions of the left and right joints may differ by this angle, rad.
+_ANGLE = 0.02  # The limits and positions of left and right joints may differ by this angle, rad.
 _NEGLIGIBLE = 0.01  # The centre of mass of a link below this share of the robot's mass is irrelevant.
 _ALONG = 0.9  # The smallest cosine between a joint's axis and the wheels' axle, for joints parallel to the axle.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
@@ -236,7 +236,7 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
-    """Return whether the lowest pitch joints of two legs have equal signs; true if a leg has no pitch joint."""
+    """Return whether the lowest pitch joints of two legs have axes of equal sign; true if a leg has no pitch joint."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
