@@ -30,7 +30,7 @@ class Wheel:
     radius: float  # the largest extent of the wheel's colliders across its axis, m; ``width`` is along the axis
     width: float
     roundness: float  # the wheel's smallest extent across its axis, divided by the largest; 1 for a body of revolution
-    contact: Vec3  # the point of the wheel that touches level ground, m
+    contact: Vec3  # the point at which the wheel touches level ground, m
     side: Side  # the side of the robot's middle on which the wheel is, seen along the robot's forward axis
     sign: int  # +1 if a positive wheel speed moves the robot forwards, -1 if backwards, 0 if in another direction
     driven: bool  # whether a motor drives the wheel; false for a caster

@@ -69,8 +69,8 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
 class Overlap:
     """Two bodies, the parent first, whose colliders overlap; a motion by ``depth``, m, would separate them.
 
-    ``neighbours`` states whether a joint connects the two bodies. ``acts`` states whether the MuJoCo model enables
-    contacts between the two bodies.
+    ``neighbours`` states whether a joint connects the two overlapping bodies. ``acts`` states whether the MuJoCo model
+    enables contacts between the two bodies.
     """
 
     bodies: tuple[str, str]
@@ -82,7 +82,7 @@ class Overlap:
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
     """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, starting with the deepest overlap.
 
-    The result omits pairs of bodies that are welded together or that the model excludes from contacts by name.
+    The result omits pairs of bodies that are welded together or that an MJCF exclude keeps from contact.
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))

@@ -52,7 +52,7 @@ class Joint:
     low: float
     high: float
     armature: float  # reflected rotor inertia, kg·m²
-    inertia: float  # the inertia of the links that the joint moves, about the joint's axis, kg·m², without armature
+    inertia: float  # the inertia about the joint's axis of the links that the joint moves, kg·m², without armature
     effective: float  # the inertia, with armature, that the joint's torque accelerates while all other joints are free
     hold: float  # the joint torque that carries the robot's weight at rest, N·m
     drive: Drive | None  # its actuator, or None
@@ -174,7 +174,7 @@ def _joints(
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            # Rounding to seven digits removes the rounding errors of float32.
+            # Rounding a value to seven digits removes the rounding errors of float32.
             kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     joints = {}
@@ -248,10 +248,10 @@ class CompiledRobot:
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
-    """Return a copy of a model with the limits that the robot's URDF specifies for continuous joints.
+    """Return a copy of a MuJoCo model with the limits that the robot's URDF states for continuous joints.
 
-    In the given model, limits of continuous joints have no effect. The last joint of a chain gets none: it can be a
-    wheel.
+    Limits of continuous joints have no effect in the MuJoCo model that was given. The last joint of a chain gets none:
+    it can be a wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():

@@ -12,10 +12,10 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # A wheel joint with a range above this value, rad, counts as unlimited.
+TURNS = 3 * math.pi  # The joint of a wheel counts as unlimited if its range, rad, is above this value.
 LEVEL = 0.5  # An axle is horizontal if the vertical component of its direction is below this value.
-_ROUND = 0.9  # The smallest ratio of a wheel's smallest to its largest radius, which is that of a regular heptagon.
-_ROUGH = 0.6  # A wheel may be less round than _ROUND, like a square, if its mass distribution is that of a wheel.
+_ROUND = 0.9  # The smallest ratio of a wheel's smallest radius to its largest radius, as in a regular heptagon.
+_ROUGH = 0.6  # A body with the mass distribution of a wheel counts as a wheel down to this roundness, that of a square.
 _LOW = 0.4  # The lowest point of a wheel is below this share of the robot's height.
 _BESIDE = 0.05  # The largest distance of a wheel's shape from the wheel's hinge axis, as a share of the wheel's radius.
 _SMALLEST = 1e-3  # m, radius
@@ -90,7 +90,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-    # Measure the extent of the wheel's shape in all directions across the axis, and along the axis.
+    # Measure the extent of a wheel's shape along the wheel's axis and in all directions across this axis.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
@@ -166,7 +166,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     closures = found
-    # For each body that is not fixed to the base, the set of connected bodies, without the base.
+    # the set of bodies connected with each body that is not fixed to the base; the sets exclude the base
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -197,7 +197,7 @@ def find_mirrored(
     """Return the pairs of mirrored joints, and the joints without a mirror image.
 
     The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
-    ``size`` is the robot's size, m. ``wheels`` maps wheel joints to the centres of the wheels, m, which are more
+    ``size`` is the size of the robot, m. ``wheels`` maps wheel joints to the centres of the wheels, m, which are more
     precise than the anchors of the joints.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
@@ -210,7 +210,7 @@ def find_mirrored(
         for other in joints:
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
-                # The angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion.
+                # the angle, rad, between a joint's mirrored axis and a second joint's axis, and the sign of the motion
                 # A mirror matrix M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])

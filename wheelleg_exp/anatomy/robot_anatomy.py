@@ -15,7 +15,7 @@ from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
 _PARALLEL = 0.9  # A robot has a forward direction if at least this share of its axles is parallel.
-# A wheel rolls forwards if the cosine between its rolling direction and the forward axis exceeds this value.
+# A wheel rolls forwards if the cosine between its rolling direction and the robot's forward axis exceeds this value.
 _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # A wheel nearer to the robot's middle than this share of the track width is a middle wheel.
 _LEVEL_WITH = 0.03  # A wheel at most this share of the robot's size above the lowest wheel stands on level ground.
@@ -26,7 +26,7 @@ _TRAILS = 0.1  # The smallest distance of a caster's contact from its steering a
 def anatomy_of(
     model: mujoco.MjModel, qpos: Array | Sequence[float] | None = None, driven: Collection[str] | None = None
 ) -> Anatomy:
-    """Find the parts of a robot at the pose ``qpos`` (nq,), by default the model's qpos0; ValueError without bodies.
+    """Find the parts of a robot at the pose ``qpos`` (nq,), by default qpos0; ValueError for a model without bodies.
 
     A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
     horizontal, and is the last joint of the kinematic chain. A wheel's colliders are near the ground and round about
@@ -149,7 +149,7 @@ def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
-    """Return a robot's horizontal rolling direction, towards the base's x axis; None without parallel axles."""
+    """Return the horizontal rolling direction of a robot, towards the base's x axis; None without parallel axles."""
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]

@@ -23,7 +23,7 @@ _STEPS = 40  # iterations from each start
 _MARGIN = 0.08  # The smallest distance of a joint from its limits in a standing pose, as a share of the joint's range.
 # A standing pose above or below these shares of the largest height gets a height of _STANDS instead.
 _STRETCHED, _CROUCHED = 0.93, 0.35
-# Standing heights to try instead of the heights of stretched and crouched legs, as shares of the largest height.
+# Standing heights to try instead of those of stretched and crouched legs, as shares of the largest height.
 _STANDS = (0.8, 0.55)
 _CLEARANCE = 0.5  # All links except wheels must be this share of the wheel radius above the ground.
 _REACH = math.pi  # The search covers this range of an unlimited joint in both directions, rad.
@@ -34,7 +34,7 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 @dataclass(frozen=True)
 class Stance:
-    """A standing pose of a robot."""
+    """A standing pose of a robot, and its properties."""
 
     positions: dict[str, float]  # the positions of the leg joints by name, rad (m)
     height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest such height
@@ -42,7 +42,7 @@ class Stance:
     # the pitch of the base that would make ``offset`` zero, rad, positive if the front is lower; 0 on several axles
     lean: float
     tallest: float
-    balanced: bool  # whether ``offset`` is almost zero
+    balanced: bool  # whether the robot balances, so that ``offset`` is almost zero
     grounded: bool  # whether every wheel that should carry weight touches level ground
 
 
@@ -50,8 +50,8 @@ def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] 
     """Find a robot's standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
 
     In the search for this pose, the base keeps its orientation, and only the legs' joints move. ``mujoco.minimize``
-    solves a nonlinear least-squares problem from several starts. At first, all wheels must touch the ground. If no pose
-    satisfies this condition, only the wheels that touch the ground in the given pose must touch it.
+    solves a nonlinear least-squares problem from several starts. All wheels must touch the ground; if no such pose
+    exists, only those wheels that touch the ground in the given pose must touch it.
     """
     if anatomy.forward is None:
         return None
@@ -120,7 +120,7 @@ class _Problem:
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
 
     def at(self, positions: Array) -> mujoco.MjData:
-        """Return MuJoCo's data of the robot in a pose, including contacts."""
+        """Return MuJoCo's data of the robot in a pose, with computed contacts."""
         self.data.qpos[self.places] = positions
         mujoco.mj_fwdPosition(self.model, self.data)
         return self.data

@@ -41,7 +41,7 @@ class Conversion:
 def convert(
     source: Path, output: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None
 ) -> Conversion:
-    """Convert a USD or URDF file to MJCF. The meshes go to ``<output's stem>_meshes`` next to the MJCF.
+    """Convert a USD or URDF file to MJCF. The folder of the meshes is ``<output's stem>_meshes``.
 
     With ``base`` equal to ``floating``, the robot gets no fixed joint to the world; with ``fixed``, the robot gets no
     free joint; with ``auto``, the robot file decides, and a URDF robot floats. ``variants`` maps each USD variant set

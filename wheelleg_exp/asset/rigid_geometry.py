@@ -37,7 +37,7 @@ def rounded(value: float, scale: float | None = None) -> float:
     """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
 
     For example, a limit of -28.64789 degrees is -0.5000000058 rad and becomes -0.5 rad. USD stores most physical
-    quantities in single precision, so the rounding error is that of single precision. The rounding error is relative to
+    quantities in single precision, so the rounding error is that of single precision. The rounding error is a share of
     ``scale``, such as a vector's length; by default, ``scale`` is ``value``.
     """
     size = abs(value) if scale is None else scale
@@ -107,7 +107,7 @@ class Frame:
 
     @staticmethod
     def identity() -> Frame:
-        """Return the identity frame, without rotation and translation."""
+        """Return the rigid frame without rotation and translation."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -169,13 +169,13 @@ Z_TO_AXIS = {  # rotation matrices
 
 
 WATER = 1000.0  # kg/m³, the default density
-BARE_MASS, BARE_RADIUS = 1.0, 0.1  # In PhysX, a body without mass and colliders is a 1 kg sphere.
+BARE_MASS, BARE_RADIUS = 1.0, 0.1  # As in PhysX, a body without mass and colliders is a sphere of 1 kg.
 MeshVolume = Literal["convex", "exact", "legacy", "shell"]
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) of density 1 about that centre, in m⁵."""
+    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) about its centre at density 1, in m⁵."""
 
     volume: float
     center: Array
@@ -230,7 +230,7 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
     """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
 
     Each step of Jacobi's method rotates the tensor by at most 45° to make its largest off-diagonal element zero. PhysX
-    also uses Jacobi's method, so PhysX and this function return the moments in equal order.
+    uses Jacobi's method, so this function returns the moments in PhysX's order.
     """
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
@@ -238,7 +238,7 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
         p, q = max(((1, 2), (0, 2), (0, 1)), key=lambda pair: abs(left[pair]))
         if abs(left[p, q]) <= smallest:
             break
-        # The smaller of the two rotations that make element (p, q) of a symmetric matrix zero.
+        # Rotate by the smaller of the two angles that make element (p, q) of a symmetric matrix zero.
         cot = (left[q, q] - left[p, p]) / (2 * left[p, q])
         tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
         cos = 1 / math.hypot(tan, 1.0)
@@ -253,8 +253,8 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
 def balanced(moments: Vec3) -> Vec3:
     """Return physically possible moments: each positive, and none larger than the sum of the other two.
 
-    MuJoCo refuses impossible moments. A principal moment below 1e-9 of the largest principal moment becomes a
-    thousandth of the largest. A principal moment above the sum of the other two principal moments becomes that sum.
+    MuJoCo refuses impossible moments. A principal moment of inertia below 1e-9 of the largest becomes a thousandth of
+    the largest. A principal moment of inertia above the sum of the other two becomes equal to that sum.
     """
     largest = max(moments)
     values = [value if value > 1e-9 * largest else 1e-3 * largest for value in moments]

@@ -165,7 +165,7 @@ class TendonPoint:
 class Tendon:
     """A length: of a path through ``points`` in m, or a sum of ``joints`` coordinates with a factor each.
 
-    ``range`` limits the length. A tendon has either ``points`` or ``joints``; the other tuple is empty.
+    ``range`` limits the length. A tendon has either ``points`` or ``joints``, so one of the two is empty.
     """
 
     name: str

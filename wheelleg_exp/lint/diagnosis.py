@@ -1,7 +1,7 @@
 """The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
 
 ``doctor`` inspects the robot of a task, or a robot file. ``doctor`` inspects a robot file on level ground, with the
-pose, drives, and limits of the file. For a task, ``doctor`` also simulates a short trial with random actions.
+pose, drives, and limits of the file. For a task, ``doctor`` simulates a short trial with random actions, too.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def diagnose_file(source: Path) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must be free of mistakes."""
+    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must have no errors."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]

@@ -73,7 +73,7 @@ class PhysicsReport:
 
 
 def examine(composed: Composed) -> PhysicsReport:
-    """Compile and measure the robot of a config, and run every lint rule. The config must be free of mistakes."""
+    """Compile and measure the robot of a config, and run every lint rule. The config must have no errors."""
     with composed.placing():
         robot, facts = task_robot(composed)
         case = Case(composed.config, facts, robot)
@@ -85,7 +85,7 @@ def examine(composed: Composed) -> PhysicsReport:
 
 
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a config, compiled like for a training, and the measured facts about the robot."""
+    """Return the robot of a config, compiled as in a training, and the measured facts about the robot."""
     env = composed.config["env"]
     # ``check --physics`` measures the compiled model and simulates no steps.
     env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}

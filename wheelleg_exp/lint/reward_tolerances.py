@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # A reward term tolerates an error of this share of the height, speed, effort, or command.
+SHARE = 0.1  # A reward term tolerates an error of this share of the robot's height, speed, effort, or command.
 ACTION = 0.5  # A reward term tolerates this change of a raw action.
 
 TRACKING = {
@@ -25,7 +25,7 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The reward from one term for a robot whose error equals the tolerance of the term.
+    """The reward from one reward term for a robot whose error equals the tolerance of the term.
 
     ``value`` is the unweighted value of the reward term for an error equal to the tolerance; None if unknown. ``cost``
     is the reward term's value for a robot without error, minus ``value``. If ``once`` is true, the reward is given once
@@ -54,7 +54,7 @@ class Contribution:
 
 
 def contributions(case: Case) -> list[Contribution]:
-    """Return every reward term's contribution to the return, at the tolerance of the term."""
+    """Return the reward that each term gives for an error equal to its tolerance."""
     return [_contribution(case, term) for term in case.terms("rewards")]
 
 
@@ -150,7 +150,7 @@ def _travel(case: Case, term: TermView) -> tuple[str, float]:
     return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 
-# The value of these reward terms is exp(-error² / std²).
+# reward terms whose value is exp(-error² / std²)
 _KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.base_height_exp": _height,
     "rewards.flat_orientation_exp": _tilt,

@@ -36,8 +36,8 @@ class TermView:
 class Case:
     """A config without mistakes, and the robot of the config.
 
-    ``robot`` is None if only the facts about the robot are known. ``trial`` maps each reward term to its mean reward
-    per second in a simulation with random actions; None without it.
+    ``robot`` is None if only the measured facts about the robot are known, not its model. ``trial`` maps each reward
+    term to its mean reward per second in a simulation with random actions; None without it.
     """
 
     config: Mapping[str, Any]
@@ -138,7 +138,7 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A lint rule takes a case, or a case and a robot. A rule that takes a robot is skipped if the case has no robot.
+# A lint rule takes a case, or a case and a robot; a rule that needs a robot is skipped if the case has none.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 

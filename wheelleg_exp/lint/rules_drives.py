@@ -136,11 +136,11 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
 def effort_against_load(case: Case) -> Iterator[Finding]:
     """A leg drive cannot carry the robot's weight, or sags under the weight.
 
-    At rest a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The effort
-    limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must hold the
-    joint within 0.1 rad of its target at an action of 0: the error is gravity's torque over kp, minus the action's
-    offset. The rule ignores joints of closed loops, because several joints of a loop share the load. Source: statics,
-    tau = -J^T F.
+    At rest, a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The
+    effort limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must
+    hold the joint within 0.1 rad of its target at an action of 0: the error is gravity's torque over kp, minus the
+    action's offset. The rule ignores joints of closed loops, because several joints of a loop share the load. Source:
+    statics, tau = -J^T F.
     """
     legs = case.robot.anatomy.legs if case.robot is not None else ()
     looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
@@ -155,7 +155,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        # The difference between the target at an action of 0 and the default position of each joint, rad.
+        # The difference between each joint's target at an action of 0 and its default position, rad.
         shifts: dict[str, float] = {}
         for term in case.terms("actions", "actions.JointPositionAction"):
             if not term.node.get("use_default_offset", True):
@@ -186,7 +186,7 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
     """The gains of a drive are unstable with the physics time step.
 
     For the gains kp and kd, let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the
-    state before the step, is stable for a < 2 and b < 4 - 2a. An implicit drive is stable for b < 4 + 2a. I is the
+    state before the step, is stable for a < 2 and b < 4 - 2a. An implicit drive is stable for b below 4 + 2a. I is the
     inertia, including the armature, that a torque accelerates if all joints can move. Source: Jury's criterion on
     semi-implicit Euler; MuJoCo documentation, Computation, "Numerical integration".
     """

@@ -54,7 +54,7 @@ def zero_width_range(case: Case) -> Iterator[Finding]:
     """The two ends of a random range are equal, so all random values are equal.
 
     If a config term has a range for each axis, the two ends of at least one range must differ. If a command never
-    changes, the observation of the command is constant, and a policy cannot learn from a constant. Source: arithmetic.
+    changes, a policy cannot learn anything from the constant observation of the command. Source: arithmetic.
     """
     for term in (*case.terms("events"), *case.terms("commands")):
         for name, value in term.node.items():
@@ -82,7 +82,7 @@ def _has_width(value: Any) -> bool:
 def event_never_fires(case: Case) -> Iterator[Finding]:
     """The interval of an interval event is longer than an episode.
 
-    Every reset draws a new interval of the event, so an interval that is longer than an episode never ends. Source:
+    Every reset draws a new interval for the event, so an interval that is longer than an episode never ends. Source:
     Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
     """
     for term in case.terms("events"):
@@ -138,7 +138,7 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
             yield Finding(key, message, hint, {"low": low, "high": high}, ({key: [0.0, 0.0]},))
 
 
-_MARGIN = 1.2  # A good policy survives slightly larger pushes than the pendulum model predicts.
+_MARGIN = 1.2  # A good policy survives slightly larger pushes than the model of an inverted pendulum predicts.
 _WEAK = 0.2  # Pushes below this share of the largest push do not test a policy.
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
@@ -179,7 +179,7 @@ def push_size(case: Case) -> Iterator[Finding]:
 
 @rule
 def wrench_size(case: Case) -> Iterator[Finding]:
-    """A permanent random force or torque on the robot tilts the robot too far.
+    """A permanent random force or torque tilts the robot too far.
 
     A force F at the body tilts a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
     episode. Source: statics of the inverted pendulum.
@@ -204,9 +204,9 @@ def wrench_size(case: Case) -> Iterator[Finding]:
             )
 
 
-_DROP = 0.1  # The largest accepted height of a start above the ground, as a share of the standing height.
-_GROUND = 1e-4  # A start at most this deep inside the ground is accepted, because contacts are soft, m.
-_HEIGHT = 0.05  # The rewarded height may differ from the standing height by this share of the standing height.
+_DROP = 0.1  # The largest accepted height of a start pose above the ground, as a share of the robot's standing height.
+_GROUND = 1e-4  # A start pose at most this deep (m) inside the ground is accepted, because contacts are soft.
+_HEIGHT = 0.05  # The rewarded height may differ from the robot's standing height by this share of the standing height.
 _FALLS = 5.0  # The shortest useful episode, in time constants of the fall.
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")

@@ -179,10 +179,10 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or much smaller than 1.
 
-    The initial weights of networks are chosen for inputs of size 1. The largest value of each observation component
-    should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The rule ignores
-    a network that normalises its inputs. Source: Andrychowicz et al., "What matters in on-policy reinforcement
-    learning?", 2021, on input normalisation.
+    The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation
+    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The
+    rule ignores a network that normalises its inputs. Source: Andrychowicz et al., "What matters in on-policy
+    reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]

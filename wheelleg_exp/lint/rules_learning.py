@@ -107,8 +107,8 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
     """An error equal to the tolerance of a reward term costs almost no reward.
 
     Reward weights are multiplied by the control time step, so the size of a weight alone is meaningless. If an error
-    equal to the tolerance costs less than 1 % of a perfect robot's reward, the noise of the return hides the term.
-    Source: Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
+    equal to the tolerance costs less than 1 % of a perfect robot's reward, the noise of the return hides it. Source:
+    Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
     found = tolerances.contributions(case)
     best = tolerances.earned_per_second(found)
@@ -128,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest weight at which a reward term's error costs enough; None if any weight only adds reward."""
+    """Return the smallest weight at which the error of a reward term costs enough; None if no weight does that."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -193,7 +193,7 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
 
     The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
     longer than the episode, the agent optimises rewards that it cannot receive. If this horizon is below about five
-    time constants of the fall, the agent does not see the effect of its actions. Source: the discounted return.
+    time constants of the robot's fall, the agent does not see what its actions cause. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt

@@ -24,7 +24,7 @@ _MOST = 4
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
-    """Return the conversion report's findings of one kind; empty if the robot was not converted."""
+    """Return the conversion report's findings of one kind, or no findings if the robot was not converted."""
     report = case.robot.report if case.robot is not None else None
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
@@ -33,8 +33,8 @@ def records(case: Case, kind: Kind) -> list[Record]:
 def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Files of colliders or USD layers of the robot are missing or damaged.
 
-    The file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing, the
-    wheel's joint counts as a leg joint. Missing files of visuals are ignored. Source: the conversion report.
+    The mesh file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing,
+    the wheel's joint counts as a leg joint. Missing files of visuals are ignored. Source: the conversion report.
     """
     report = robot.report
     if report is None:
@@ -61,7 +61,7 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def assumed_masses(case: Case) -> Iterator[Finding]:
-    """The robot file lacks masses or inertias, so that the converter assumed values.
+    """The robot file lacks masses or inertias, so the converter assumed values for them.
 
     An assumed mass is a volume times a density, or 1 kg, so the robot's dynamics are inaccurate. Source: the conversion
     report.
@@ -83,7 +83,7 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 @rule
 def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The MuJoCo model lacks colliders, limits, couplings, or drives of the robot file, or has different values.
+    """The MuJoCo model lacks or changes colliders, limits, couplings, or drives of the robot file.
 
     Source: the warnings of the conversion report.
     """
@@ -207,9 +207,9 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    A drive with an effort limit of 0 has no effect. An effort limit is a placeholder, not a real value, if this torque
-    could lift fifty times the robot's weight on an arm as long as the robot. Policies that are trained with a
-    placeholder as effort limit do not transfer to the real robot. Source: statics.
+    A drive with an effort limit of 0 has no effect. An effort limit is not a real value if this torque could lift fifty
+    times the robot's weight on an arm as long as the robot. Policies that are trained with such effort limits do not
+    work on the real robot. Source: statics.
     """
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size

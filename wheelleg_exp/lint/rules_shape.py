@@ -20,7 +20,7 @@ _ASSET = "env.robot.asset"
 _TOUCHES = 2e-3  # Soft contacts allow overlaps below this share of the robot's size.
 _DEEP = 0.25  # Two links that a joint connects may overlap by this share of the robot's size.
 _STANDS = 5e-3  # A body this near to the robot's lowest point, as a share of the robot's size, touches the ground.
-_BUMP = 0.05  # The radius of a wheel may vary by this share around the wheel's rim.
+_BUMP = 0.05  # The radius of a wheel may vary around its rim by this share of the radius.
 _UNEQUAL = 0.02  # The radii of the left and right wheels may differ by this share.
 _SHOWN = 4  # pairs in one message
 
@@ -109,9 +109,9 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
             yield Finding(_ASSET, message, "colliders of one size", {"left_m": one, "right_m": other})
 
 
-_LEAN = 0.06  # A policy easily corrects a lean below this value, rad.
-_DRAWN_LEAN = 0.17  # The allowed lean in the pose of a robot file, rad, which nobody has chosen for balance.
-_EDGE = 0.1  # The smallest distance of the centre of mass from the outer wheel contacts, as a share of their distance.
+_LEAN = 0.06  # A policy easily corrects a robot's lean below this value, rad.
+_DRAWN_LEAN = 0.17  # The allowed lean of a robot in the pose of its file, rad, which nobody has chosen for balance.
+_EDGE = 0.1  # The smallest distance of the centre of mass from an outer wheel contact, as a share of the wheelbase.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
@@ -167,10 +167,10 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The wheels do not roll along the base's x axis, or do not roll in one common direction.
+    """The wheels do not roll along the x axis of the robot's base, or do not roll in one common direction.
 
-    In commands, rewards, and observations, the base's x axis points forwards. Source: Isaac Lab's convention, ROS REP
-    103; the directions of the axles.
+    Commands, rewards, and observations assume that the base's x axis points forwards. Source: Isaac Lab's convention,
+    ROS REP 103; the directions of the axles.
     """
     if not robot.anatomy.wheels:
         return
@@ -218,8 +218,8 @@ _MOST = 4  # findings of one kind
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right wheel joints have opposite signs, although the leg joints of both sides have equal signs.
 
-    If the signs are opposite, an action of 1 drives one wheel forwards and the opposite wheel backwards. If all joints
-    of one side have the opposite sign, the sign is a convention of the robot file, and the rule reports nothing.
+    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. If
+    all joints of one side have the opposite sign, the sign is a convention of the robot file, which is not reported.
     Source: kinematics, v = omega x r.
     """
     anatomy = robot.drawn
@@ -269,8 +269,8 @@ def _way(sign: int) -> str:
 def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right legs are not mirror images in position, mass, centre of mass, or limits.
 
-    An asymmetric robot drifts to one side, and cannot satisfy rewards for symmetry. Source: the image of each joint and
-    link in the plane between the sides, in the pose that the file draws.
+    An asymmetric robot drifts to one side, and loses rewards for symmetry. Source: the image of each joint and link in
+    the plane between the sides, in the pose that the file draws.
     """
     if robot.drawn.left is None:
         return

@@ -25,8 +25,8 @@ def copy_robot(source: Path, folder: Path) -> Path:
     """Copy a robot file, and every layer, texture, or mesh to which the file refers, to ``folder``.
 
     Files in the folder of ``source`` keep their relative paths in the copy. Files outside of the folder of ``source``
-    get new paths in ``folder``, to which the copied robot file refers. The function returns the path of the robot
-    file's copy.
+    get new paths in ``folder``, to which the copied robot file refers. The function returns the path of the copied
+    robot file.
     """
     folder.mkdir(parents=True)
     return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)
@@ -106,7 +106,7 @@ def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # ``source`` is a symbolic link to the copied file.
+    if source.name != source.resolve().name:  # ``source`` can be a symbolic link to the file that was copied.
         _copy(source, folder / source.name)
     return True
 

@@ -29,7 +29,7 @@ _FULL = 4.0
 _SLIPS = 5.0  # An effort limit above this multiple of the torque at which the wheel slips is not a real value.
 _FAST = 100.0  # A speed limit above this value, rad/s, is not a real value.
 _WEAK = 0.3  # The smallest accepted ratio of an effort limit to the torque that holds the weight at the shortest lever.
-_STEP = 0.005  # The physics time step of the task, s.
+_STEP = 0.005  # The physics time step of the project's task, s.
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
 _TRACTION = 1.5  # The ratio of a wheel's effort limit to the torque at which the wheel slips.
@@ -39,7 +39,7 @@ _ENDLESS = 1e6  # An effort or speed limit above this value in a robot file mean
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains and limits of an actuator group, by joint.
+    """The gains and limits of a group of actuators, by the actuator's joint.
 
     Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
     contains the names of the quantities whose values are from the robot file. ``refused`` lists unusable gains and
@@ -160,7 +160,7 @@ def wheel_gains(robot: Survey) -> Gains:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return a value for each joint, equal for mirrored joints, and whether the robot file contains all of them."""
+    """Return the values of joints, equal for mirrored joints, and whether the robot file contains all these values."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -179,7 +179,7 @@ def _damping(dof: Dof) -> float | None:
 
 
 def _speed_gain(dof: Dof) -> float | None:
-    """Return the damping of a velocity drive; None for a position drive, whose damping is no gain of a speed error."""
+    """Return the damping of a velocity drive, which is the gain of its speed error; None for a position drive."""
     drive = dof.drive
     return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
 

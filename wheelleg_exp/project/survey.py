@@ -68,7 +68,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     """Return the root link's frame with x forwards, y to the left, and z upwards while the base leans.
 
-    If all axes of this frame are nearly parallel to axes of the robot file's frame, the file's axes replace them.
+    Axes of this frame that are nearly parallel to those of the robot file's frame are replaced by the latter.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -88,23 +88,23 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
 
 
 _GROUND = 0.05  # A body touches the ground if its distance to the ground is below this share of the standing height.
-_LEVEL = 0.99  # A root link is upright if the cosine of its tilt is at least this value.
+_LEVEL = 0.99  # A root link is upright if the cosine of the root link's tilt is at least this value.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
 @dataclass(frozen=True)
 class Survey:
-    """A robot with its dimensions in the default pose.
+    """A robot and its dimensions in its default pose.
 
     ``dofs`` contains the degrees of freedom in the robot's order, breadth first. ``legs`` contains the driven joints
     between base and wheels; for a robot without wheels, all driven joints. ``held`` contains the driven joints that no
     action of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains
-    the joint positions of the default pose, rad or m. ``standing`` is None if the caller chose the pose. ``overlaps``
-    contains the overlap depth, m, of each pair of overlapping links that can touch. ``radius`` is the radius of the
-    wheels, m. ``size`` is the height of the root link or of the centre of mass, m, whichever is larger. ``up`` is the
-    axis of the root link that points upwards. ``trunk`` is the heaviest link that is fixed to the root link.
-    ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground. ``raised_bodies`` have colliders but
-    do not touch the ground. ``notes`` contains messages for the user.
+    the joint positions of the default pose, rad or m. ``standing`` is None if the caller of the function chose the
+    pose. ``overlaps`` contains the overlap depth, m, of each pair of overlapping links that can touch. ``radius`` is
+    the radius of the wheels, m. ``size`` is the height of the root link or of the centre of mass, m, whichever is
+    larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest link that is fixed to the
+    root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground. ``raised_bodies`` have
+    colliders but do not touch the ground. ``notes`` contains messages for the user.
     """
 
     dofs: dict[str, Dof]
@@ -136,9 +136,9 @@ class Survey:
 def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
-    ``env`` contains the sections ``sim`` and ``scene`` of a config. ``pose`` maps joint expressions to positions that
-    replace the robot file's default joint positions. If ``allow_missing`` is true, collider files may be missing. An
-    unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
+    ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps joint expressions to positions
+    that replace the robot file's default joint positions. If ``allow_missing`` is true, collider files may be missing.
+    An unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")

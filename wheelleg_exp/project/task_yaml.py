@@ -19,7 +19,7 @@ _TILT = 0.03  # The largest random tilt of the stock reset event, rad.
 _DIP = 0.003  # A random start tilt may put a wheel into the ground by at most this share of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
 _LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation for an action of 1, rad.
-_WHEEL_EFFORT = 0.25  # An action of 1 at standstill takes this share of the drive's largest torque.
+_WHEEL_EFFORT = 0.25  # A wheel action of 1 at standstill takes this share of the drive's largest torque.
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:

@@ -156,7 +156,7 @@ class Classes:
         return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
 
     def rest(self, tag: str, name: str) -> Attributes:
-        """Return the attributes that an MJCF element does not get from its default class."""
+        """Return the attributes of an MJCF element that the element's default class does not give."""
         return self._rest[tag, name]
 
     def inherited(self) -> bool:

@@ -33,7 +33,7 @@ class Notes:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Add the converter's assumptions as comments to MJCF elements; return those for the start of the MJCF."""
+        """Add the converter's assumptions to MJCF elements as comments; return the assumptions without an element."""
         rules = Counter(note.rule for note in self._notes)
         many = {rule: count for rule, count in rules.items() if count > FEW}
         head = [f"{rule} ({count} places)" for rule, count in many.items()]

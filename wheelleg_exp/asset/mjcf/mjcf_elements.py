@@ -25,7 +25,7 @@ class Element:
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
         """Append and return a child element.
 
-        The XML attributes in ``given`` are printed last. The keyword ``class_`` sets the XML attribute ``class``.
+        The XML attributes in ``given`` are printed last. The keyword argument ``class_`` sets ``class``.
         """
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})

@@ -32,8 +32,8 @@ def scene_path(model: Path) -> Path:
 def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path.
 
-    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The preview scene gets the largest time step at which
-    the simulation of the robot, dropped on the floor, is stable for half a second.
+    The preview scene uses MuJoCo's ``discrete`` integrator, which treats stiffness implicitly. The preview scene gets
+    the largest time step at which the simulation of the robot, dropped on the floor, is stable for half a second.
     """
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):

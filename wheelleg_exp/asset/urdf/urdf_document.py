@@ -49,7 +49,7 @@ class Element:
 
 
 def parse_xml(source: Path, data: bytes) -> Element:
-    """Return the root element of an XML file's bytes."""
+    """Return the root element of an XML file from the bytes of the file."""
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
@@ -109,7 +109,7 @@ class Document:
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
-        """Return an XML attribute's text or None, and record the MJCF part that the attribute becomes."""
+        """Return an XML attribute's text or None, and record the MJCF part that the converter makes from it."""
         value = element.attributes.get(name)
         if value is not None and became is not None:
             self.ledger.mapped(element.path, name, became)
@@ -134,7 +134,7 @@ class Document:
         return values
 
     def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
-        """Return an XML attribute's number, or None if it is missing or blank; ``endless`` allows infinity."""
+        """Return an XML attribute's number; None if the attribute is missing or blank; ``endless`` allows infinity."""
         text = self.text(element, name, became)
         if text is None or not text.strip():
             return None

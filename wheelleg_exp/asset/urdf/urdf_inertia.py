@@ -23,7 +23,7 @@ TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 def inertials(
     document: Document, tree: Tree, seen: dict[str, Seen], colliders: dict[str, list[Shape]], base: BaseMode
 ) -> dict[str, Inertial]:
-    """Return the mass properties of each link, by name.
+    """Return the mass properties of each link of a URDF, by the link's name.
 
     If the URDF gives no mass, the volume of ``colliders`` gives the mass. A link that cannot move may have no mass.
     """

@@ -161,7 +161,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
 def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
     """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
 
-    ``dofs`` maps the name of each joint with one hinge or slide to its degree of freedom.
+    ``dofs`` maps the name of each URDF joint with one hinge or slide to the joint's degree of freedom.
     """
     found = []
     for joint in tree.joints.values():
@@ -222,7 +222,7 @@ def source_files(source: Path) -> dict[str, str]:
 
 
 class _Builder:
-    """A builder of the robot description of a URDF. Each link except the world link becomes a body."""
+    """This class builds the robot description of a URDF. Each link except the world link becomes a body."""
 
     def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base

@@ -1,7 +1,7 @@
 """Report every authored physics property, schema, and prim of a USD stage that the converter has not read.
 
 Each table maps name patterns of USD properties, schemas, or prim types to the reason why the MJCF omits them; the first
-matching pattern counts. The audit reports a USD name as unknown if it matches no pattern of these tables.
+pattern that matches a name counts. The audit of a USD stage reports a name as unknown if the name matches no pattern.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why the MJCF omits an API schema; None if the schema has no physics or its attributes are recorded."""
+    """Return why the MJCF omits a USD API schema; None for a schema without physics or with recorded attributes."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]

@@ -43,7 +43,7 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
 
 
 def world_sites(stage: Stage, links: Links) -> list[Site]:
-    """Return the sites of the stage that belong to no body."""
+    """Return the sites of the USD stage that belong to no body."""
     sites = named([prim for prim in stage.prims if is_site(prim)])
     return [_site(stage, prim, name, None) for prim, name in sites if links.owner(prim.GetPath()) is None]
 
@@ -164,7 +164,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:
-    """Return the collision shape of a mesh. MuJoCo uses the convex hull of a mesh for collisions."""
+    """Return the shape that replaces a mesh in collisions. MuJoCo uses the convex hull of a mesh for collisions."""
     wanted = stage.ledger.read(carrier, "physics:approximation", "the collider's shape")
     if prim.GetPath() != carrier.GetPath():
         wanted = stage.ledger.read(prim, "physics:approximation", "the collider's shape") or wanted

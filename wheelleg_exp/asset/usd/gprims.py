@@ -22,7 +22,7 @@ _SEGMENTS = 32  # polygon sides
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape in its body, with MuJoCo's geom type and size (m), and a mesh's points (n, 3) and triangles (k, 3).
+    """A shape of a body, with MuJoCo's geom type and size (m); a mesh has points (n, 3) and triangles (k, 3).
 
     ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass; None means the shape itself.
     """
@@ -61,7 +61,7 @@ class _Placing:
 
     @property
     def scale(self) -> Array | None:
-        """The scale factors along the shape's own axes; None if the transform shears the shape."""
+        """The factors that scale a shape along its own axes; None if the transform shears the shape."""
         off = self.stretch - np.diag(np.diag(self.stretch))
         return None if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max() else np.abs(np.diag(self.stretch))
 

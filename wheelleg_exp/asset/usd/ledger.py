@@ -83,7 +83,7 @@ _EXPECTED = {
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
-    """Return the required type of a USD attribute by its full name; None if any value is allowed."""
+    """Return the required type of a USD attribute's value, by the attribute's full name; None if any is allowed."""
     return next((kind for kind, texts in _KINDS.items() if any(re.fullmatch(t, name) for t in texts.split())), None)
 
 
@@ -189,7 +189,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the target paths of a USD relationship, and record the MJCF part made from the relationship."""
+        """Return the target paths of a USD relationship, and record the MJCF part that the converter makes from it."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -206,7 +206,7 @@ class Ledger:
         self._assumed[str(path), rule] = Assumption(str(path), rule, str(value))
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
-        """Record a part of the robot file that the MJCF cannot express."""
+        """Record a part of the robot file that an MJCF cannot express."""
         self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
@@ -238,7 +238,7 @@ class Ledger:
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-        """Return the converted attributes, assumptions, omitted physics, and warnings, in the order of recording."""
+        """Return a conversion's recorded attributes, assumptions, omitted physics, and warnings, in their order."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
         mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
         return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

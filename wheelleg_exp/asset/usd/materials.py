@@ -23,7 +23,7 @@ class Looks:
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
-        """Return the materials that geoms use, with unique names, by the path of the USD material."""
+        """Return the materials of MuJoCo's geoms, with unique names, by the path of the USD material."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
@@ -98,7 +98,7 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
 
     For a USD file with MuJoCo's own schemas, the friction is None, which means MuJoCo's default friction.
     """
-    # As in PhysX, a shape's own material overrides the scene's default material; without both, a constant is used.
+    # As in PhysX, a shape's own material overrides the scene's default material; without both, friction is a constant.
     defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
     material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:

@@ -143,7 +143,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
     if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
         extra["active"] = False
     name = f"{dof.name}_coupling"
-    # A coupling's polynomial in rad and m. Newton's offset is in the joint's USD unit, MuJoCo's offset in SI units.
+    # Newton's offset of a joint coupling is in the joint's USD unit, MuJoCo's offset in SI units.
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")

@@ -1,4 +1,4 @@
-"""Make the geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
+"""Make the MuJoCo geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
 
 Joints, USD's filtered pairs, and collision groups become MJCF ``exclude`` elements or collision bits of geoms.
 """
@@ -198,7 +198,7 @@ def read_filters(
     out: dict[str, Extra] = {}
     for path, piece in solid.items():
         kind = classes[path]
-        # MuJoCo tests one geom's contype against the second geom's conaffinity: a cleared bit forbids the contact.
+        # MuJoCo tests one geom's contype against the second geom's conaffinity, so clearing a bit forbids the contact.
         touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
         own = bit.get(kind, 1)
         out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
@@ -210,7 +210,7 @@ def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Yield FilteredPairsAPI's pairs of bodies, and add FilteredPairsAPI's other pairs of shapes to ``rules``."""
+    """Yield USD's filtered pairs of bodies, and add USD's filtered pairs of other shapes to ``rules``."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -234,7 +234,7 @@ def _shapes(links: Links, solid: Mapping[str, Piece], path: Sdf.Path) -> set[str
 
 
 def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
-    """Add the pairs of collision groups that never touch, from OpenUSD's table of collision groups."""
+    """Add the pairs of collision groups that never touch, from OpenUSD's table of collision groups, to ``rules``."""
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return

@@ -56,7 +56,7 @@ class Units:
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
-        """Convert a joint coordinate or velocity from degrees or stage lengths to rad or m."""
+        """Convert a joint coordinate or velocity from USD's degrees or stage lengths to rad or m."""
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
@@ -87,7 +87,7 @@ def endless(value: float | None, angular: bool) -> bool:
 
 
 def effort_limit(value: float | None) -> float | None:
-    """Return a drive's effort limit in stage units; None if the limit is missing, infinite, huge, or not positive."""
+    """Return a drive's effort limit in USD stage units; None if it is missing, infinite, huge, or not positive."""
     return None if value is None or not math.isfinite(value) or value >= HUGE or value <= 0 else value
 
 
@@ -118,7 +118,7 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
-    """Return the variant names of each variant set at or below ``root``; sets of ``root`` come first."""
+    """Return the variant names of each USD variant set at or below the prim ``root``; those of ``root`` come first."""
     found: dict[str, list[str]] = {}
     for prim in Usd.PrimRange(root):
         for name in prim.GetVariantSets().GetNames():
@@ -152,12 +152,12 @@ class Stage:
 
     @cached_property
     def physics_scenes(self) -> list[Usd.Prim]:
-        """The PhysicsScene prims, in the stage's order."""
+        """The PhysicsScene prims of a USD stage, in the stage's order."""
         return [prim for prim in self.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
 
     @cached_property
     def articulation_prims(self) -> list[Sdf.Path]:
-        """The paths of the prims with ArticulationRootAPI."""
+        """The paths of the USD prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
@@ -180,7 +180,7 @@ class Stage:
 
 
 def schemas(prim: Usd.Prim) -> list[str]:
-    """Return the names of a prim's applied API schemas, including schemas unknown to the USD library."""
+    """Return the names of the API schemas applied to a USD prim, even of schemas that the USD library does not know."""
     return list(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
 
 

@@ -69,7 +69,7 @@ class Tree:
 
 
 def drawn_in_parent(node: Node) -> Frame:
-    """Return the pose of the body in its parent body, as drawn in the USD file."""
+    """Return the pose of a body in its parent body, as drawn in the USD file."""
     return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
 
 
@@ -84,8 +84,8 @@ def is_exact(joint: Joint) -> bool:
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
     """Return a loop's closing joint that no MuJoCo equality can replace, and the joint to open instead; or None.
 
-    The joint to open instead has no drive, and a MuJoCo equality can replace it. If the loop has several joints without
-    a drive that an equality can replace, the joint furthest from the root is returned.
+    The joint that opens the loop instead has no drive, and a MuJoCo equality can replace it. If several joints of the
+    loop qualify, the joint furthest from the root is returned.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -206,7 +206,7 @@ def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
-    """Treat a generic joint without limits from the root to the world as a fixed joint, as PhysX does."""
+    """Replace a generic joint without limits between root and world by a fixed joint, as PhysX does."""
     marks = stage.articulation_prims
     for joint in joints:
         free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
@@ -249,7 +249,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """A builder of breadth-first spanning trees. A joint to a body that is already in a tree closes a loop."""
+    """This class builds spanning trees, breadth first; a joint to a body that is already in a tree closes a loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
@@ -301,7 +301,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Treat each joint that is not in the tree as a loop closure, or add it to the edge between its two bodies."""
+        """Treat each joint outside the spanning tree as a loop closure, or add it to the edge between its bodies."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -319,7 +319,7 @@ class _Builder:
 
 
 def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether the freedoms of several joints between two bodies add up, as in MuJoCo; None if unknown."""
+    """Return whether several joints between two bodies add their degrees of freedom, as in MuJoCo; None if unknown."""
     name = "newton:jointsAddMobility"
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]
@@ -327,5 +327,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether the joints have MuJoCo's USD schema, with which the freedoms of a body's joints add up."""
+    """Return whether joints have MuJoCo's USD schema, with which the degrees of freedom of a body's joints add up."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

@@ -1,6 +1,6 @@
 """Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh.
 
-The mass of a collider is the authored mass, or a density times the collider's volume.
+A collider's mass is the mass in the USD file, or a density times the collider's volume.
 """
 
 from __future__ import annotations

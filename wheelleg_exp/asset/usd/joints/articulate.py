@@ -25,8 +25,8 @@ def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
     A joint coordinate of zero outside the joint's limits is moved inside the limits, except in a robot with ``loops``,
     which would open.
 
-    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the axis
-    is negated, and the limits, targets, and gains are unchanged.
+    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the
+    converter negates the axis, and keeps the limits, targets, and gains.
     """
     if node.joint is None:
         return ()

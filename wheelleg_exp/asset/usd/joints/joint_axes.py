@@ -1,4 +1,4 @@
-"""The free axes of a joint, the range of each free axis, and the position of each locked axis."""
+"""Find the free axes of a USD joint, the range of each free axis, and the position of each locked axis."""
 
 from __future__ import annotations
 

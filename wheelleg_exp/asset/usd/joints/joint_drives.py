@@ -48,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report a target velocity, which shifts PhysX's drive by ``shift`` but not MuJoCo's position actuator."""
+    """Report a drive's target velocity, which shifts the drive by ``shift`` in PhysX but is ignored in MuJoCo."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
@@ -74,7 +74,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return an effort limit (N·m or N; infinite if unlimited), and record a finding for a placeholder."""
+    """Return a drive's effort limit (N·m or N; infinite if unlimited); record a finding if it is not a real value."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -82,7 +82,7 @@ def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float |
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
-    """Clamp a joint coordinate to the limits, and record an assumption if the coordinate changes."""
+    """Clamp a joint coordinate to the joint's limits, and record an assumption if the coordinate changes."""
     if limits is None or limits[0] <= value <= limits[1]:
         return value
     inside = min(max(value, limits[0]), limits[1])
@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# If PhysxJointAxisAPI is applied, PhysX ignores PhysxJointAPI, and gives unauthored attributes these values.
+# The values that PhysX uses for unauthored attributes of an applied PhysxJointAxisAPI.
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
@@ -183,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether an attribute equals ``winner``, or is the same attribute on a different axis of a ball joint."""
+    """Return whether an attribute agrees with the attribute ``winner`` in its value, or in its name except the axis."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 
