@@ -183,7 +183,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 
 @rule
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
-    """The gains of a drive are unstable with the physics time step.
+    """The gains of a drive make the simulation unstable at the physics time step.
 
     For the gains kp and kd, let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the
     state before the step, is stable for a < 2 and b < 4 - 2a. An implicit drive is stable for b below 4 + 2a. I is the

@@ -222,7 +222,7 @@ def source_files(source: Path) -> dict[str, str]:
 
 
 class _Builder:
-    """This class builds the robot description of a URDF. Each link except the world link becomes a body."""
+    """The robot description of a URDF, built step by step; each link except the world link becomes a body."""
 
     def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base

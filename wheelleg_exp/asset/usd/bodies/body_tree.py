@@ -249,7 +249,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """This class builds spanning trees, breadth first; a joint to a body that is already in a tree closes a loop."""
+    """Spanning trees, built breadth first; a joint to a body that is already in a tree closes a loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
