@@ -1,7 +1,6 @@
 """The parts of a robot, such as wheels and legs, in SI units, and the body tree of the robot's compiled model.
 
-Vectors of wheels, legs, and other parts are in the frame of the base body; vectors of the body tree are in the world
-frame.
+Vectors of wheels, legs, and other parts are in the frame of the base body; vectors of ``Tree`` are in the world frame.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ class RobotFacts:
     standing_height: float
     clearance: float  # the height of the robot's lowest point at the start over the ground, m; negative inside
     friction: float  # the effective friction coefficient between wheels and ground
-    balance: Balance | None  # None for a robot that does not balance on one axle
+    balance: Balance | None  # the equivalent pendulum; None for a robot that does not balance on one axle
 
     @property
     def weight(self) -> float:
@@ -264,7 +264,7 @@ def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.
 def compiled_robot(
     model: mujoco.MjModel, robot: Robot, report: Report | None = None, driven: Collection[str] | None = None
 ) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a compiled scene and the robot's measured facts.
+    """Return the robot of a compiled scene, and the facts that are measured on this robot.
 
     ``driven`` contains the joints with a drive in the robot file, for a robot without actuators. If ``driven`` is None,
     the robot file has no drives.

@@ -27,7 +27,7 @@ _AROUND = 48
 
 @dataclass(frozen=True)
 class Found:
-    """A wheel's hinge and shape in the world frame, m.
+    """The hinge and the shape of a part that may be a wheel, in the world frame, m.
 
     The hinge ``joint`` moves ``bodies``. ``centre`` is the centre of the wheel's colliders, on the hinge's axis.
     ``radius`` is the largest extent of the wheel's colliders across the hinge's axis. ``roundness`` is the smallest

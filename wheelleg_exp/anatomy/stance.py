@@ -49,9 +49,9 @@ class Stance:
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find a robot's standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
 
-    In the search for this pose, the base keeps its orientation, and only the legs' joints move. ``mujoco.minimize``
-    solves a nonlinear least-squares problem from several starts. All wheels must touch the ground; if no such pose
-    exists, only those wheels that touch the ground in the given pose must touch it.
+    The base keeps the orientation of the given pose, and only the legs' joints move. ``mujoco.minimize`` solves a
+    nonlinear least-squares problem from several starts. All wheels must touch the ground; if no such pose exists, only
+    those wheels that touch the ground in the given pose must touch it.
     """
     if anatomy.forward is None:
         return None
@@ -92,7 +92,7 @@ class _Problem:
         rotation = self.data.xmat[self.base].reshape(3, 3)
         self.forward, self.up = (rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.up))
         self.wheels = [model.body(wheel.body).id for wheel in anatomy.standing]
-        # The wheels' centres are in the frames of the wheels' bodies, m.
+        # the centres of the wheels in the frames of the wheels' bodies, m
         self.centres = [
             self.data.xmat[body].reshape(3, 3).T
             @ (self.data.xpos[self.base] + rotation @ np.array(wheel.centre) - self.data.xpos[body])
@@ -109,7 +109,7 @@ class _Problem:
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
-        self.rest = overlap_depths(model, self.data, self.bodies)  # Links may overlap as in the preferred pose.
+        self.rest = overlap_depths(model, self.data, self.bodies)  # the allowed depths of overlaps
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -245,7 +245,7 @@ class Weight:
 
     @property
     def lean(self) -> float:
-        """The angle from the vertical to the line from the axle to the centre of mass, rad; positive to the front."""
+        """The angle from the vertical to the line from the axle to the centre of mass, rad; positive forwards."""
         return math.atan2(self.ahead, self.above)
 
 

@@ -194,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # The meshes are moved before the MJCF, so while the draft MJCF exists, the old MJCF needs its old meshes.
+        # The meshes are moved before the MJCF, so if the draft MJCF exists, the old MJCF needs its old meshes.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

@@ -1,7 +1,7 @@
 """The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
 
 ``doctor`` inspects the robot of a task, or a robot file. ``doctor`` inspects a robot file on level ground, with the
-pose, drives, and limits of the file. For a task, ``doctor`` simulates a short trial with random actions, too.
+pose, drives, and limits of the file. For a task, ``doctor`` also simulates a short trial with random actions.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The reward from one reward term for a robot whose error equals the tolerance of the term.
+    """The reward that one term gives for a robot whose error equals the tolerance of the term.
 
     ``value`` is the unweighted value of the reward term for an error equal to the tolerance; None if unknown. ``cost``
     is the reward term's value for a robot without error, minus ``value``. If ``once`` is true, the reward is given once
@@ -41,7 +41,7 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The unweighted value of the reward term for a robot without any error."""
+        """The value, without weight, of the reward term for a robot without any error."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
@@ -49,7 +49,7 @@ class Contribution:
         return self.weight * (self.value or 0.0) * step_dt
 
     def per_episode(self, case: Case) -> float:
-        """Return the reward that the reward term gives in a whole episode."""
+        """Return the reward that this term gives in a whole episode."""
         return self.per_step(case.step_dt) * (1 if self.once else case.episode_steps)
 
 

@@ -138,7 +138,7 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A lint rule takes a case, or a case and a robot; a rule that needs a robot is skipped if the case has none.
+# A lint rule takes a case, or a case and a robot; a rule with a robot is skipped if the case has no robot.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 

@@ -183,12 +183,12 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 
 @rule
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
-    """The gains of a drive make the simulation unstable at the physics time step.
+    """The gains of a drive make the simulation unstable with the physics time step of the config.
 
     For the gains kp and kd, let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the
-    state before the step, is stable for a < 2 and b < 4 - 2a. An implicit drive is stable for b below 4 + 2a. I is the
-    inertia, including the armature, that a torque accelerates if all joints can move. Source: Jury's criterion on
-    semi-implicit Euler; MuJoCo documentation, Computation, "Numerical integration".
+    state before the step, is stable for a < 2 and b < 4 - 2a. A drive with implicit damping is stable for b below 4 +
+    2a. I is the inertia of the joint, with armature, if all joints can move. Source: Jury's criterion on semi-implicit
+    Euler; MuJoCo documentation, Computation, "Numerical integration".
     """
     dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
     for group, joints in _groups(case).items():

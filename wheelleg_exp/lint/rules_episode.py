@@ -226,8 +226,8 @@ def spawn_height(case: Case) -> Iterator[Finding]:
     """The robot starts inside the ground, or far above the ground.
 
     The rule computes the lowest point of the default pose from the colliding shapes. If a robot starts inside the
-    ground, the contact force throws it. A robot that starts at a height h above the ground lands at the speed sqrt(2 g
-    h). Source: kinematics.
+    ground, the contact force throws the robot into the air. A robot that starts at a height h above the ground lands at
+    the speed sqrt(2 g h). Source: kinematics.
     """
     facts = case.facts
     clearance, limit = facts.clearance, _DROP * facts.standing_height
@@ -340,10 +340,10 @@ _DEPTH = 0.01  # Soft contacts correct an overlap below this share of the robot'
 
 @rule
 def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A random start state puts the robot's lowest point inside the ground.
+    """A random start state can put the robot's lowest point inside the ground.
 
-    The rule tests all combinations of the extreme start heights, rolls, pitches, and joint positions. The contact force
-    throws a robot that starts inside the ground. Source: kinematics.
+    The rule tests all combinations of the extreme start heights, rolls, pitches, and joint positions. If a robot starts
+    inside the ground, the contact force throws the robot into the air. Source: kinematics.
     """
     if not robot.anatomy.floating:
         return

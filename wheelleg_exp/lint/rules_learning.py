@@ -192,8 +192,8 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
     """The horizon of the discount is longer than an episode, or shorter than a fall.
 
     The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
-    longer than the episode, the agent optimises rewards that it cannot receive. If this horizon is below about five
-    time constants of the robot's fall, the agent does not see what its actions cause. Source: the discounted return.
+    longer than the episode, the agent optimises rewards that it cannot receive. A discount horizon below about five
+    time constants of the fall hides the effect of an action from the agent. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt

@@ -34,7 +34,7 @@ def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Files of colliders or USD layers of the robot are missing or damaged.
 
     The mesh file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing,
-    the wheel's joint counts as a leg joint. Missing files of visuals are ignored. Source: the conversion report.
+    the wheel's joint counts as a leg joint. The rule ignores missing files of visuals. Source: the conversion report.
     """
     report = robot.report
     if report is None:
@@ -208,7 +208,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
     A drive with an effort limit of 0 has no effect. An effort limit is not a real value if this torque could lift fifty
-    times the robot's weight on an arm as long as the robot. Policies that are trained with such effort limits do not
+    times the robot's weight on an arm as long as the robot. Policies that are trained with unreal effort limits do not
     work on the real robot. Source: statics.
     """
     facts = case.facts

@@ -27,7 +27,7 @@ _SHOWN = 4  # pairs in one message
 
 @rule
 def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Two bodies of the robot overlap at the start and can push each other apart.
+    """At the start of an episode, two bodies of the robot overlap and can push each other apart.
 
     The contact force pushes overlapping bodies apart in the first physics step. MuJoCo disables contacts between two
     bodies that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's
@@ -55,10 +55,10 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A contact termination watches a body that touches the ground or a second body at the start.
+    """A contact termination watches a body that touches the ground or a second body at the start of an episode.
 
     The rule reports a body that is as low as the robot's lowest point, or that overlaps a second body. Contact at the
-    start ends every episode at once, and the policy learns nothing. Source: kinematics of the default pose.
+    start ends every episode at once, so the policy learns nothing. Source: kinematics of the default pose.
     """
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
@@ -118,7 +118,7 @@ _TOE = math.radians(2)
 
 @rule
 def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The robot's centre of mass is not above the wheels at the start.
+    """At the start of an episode, the robot's centre of mass is not above the wheels.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
     of mass of the parts above the axle is vertically above the axle. The hint of this rule contains the balanced pose,

@@ -34,7 +34,7 @@ _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
 # Words that cannot be project names, because YAML or Hydra's override grammar treats them as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# Names that cannot be project names, because they have another meaning in a project, in pytest, or in pip.
+# Names that cannot be project names, because they have a fixed meaning in a project, in pytest, or in pip.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
 _EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 

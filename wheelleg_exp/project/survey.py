@@ -68,7 +68,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     """Return the root link's frame with x forwards, y to the left, and z upwards while the base leans.
 
-    Axes of this frame that are nearly parallel to those of the robot file's frame are replaced by the latter.
+    If the axes of the robot file's frame are nearly parallel to these axes, the robot file's axes are used.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None

@@ -22,7 +22,7 @@ KINDS = {"hinge": mujoco.mjtJoint.mjJNT_HINGE, "slide": mujoco.mjtJoint.mjJNT_SL
 
 
 def load(path: Path, source: str) -> mujoco.MjModel:
-    """Load an MJCF. If MuJoCo refuses the MJCF, the error gives MuJoCo's reason."""
+    """Load an MJCF. If MuJoCo refuses the MJCF, the raised AssetError gives MuJoCo's reason."""
     with refusals(source, path.parent):
         return mujoco.MjModel.from_xml_path(str(path))
 

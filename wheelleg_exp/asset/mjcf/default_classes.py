@@ -4,7 +4,7 @@ The MJCF default class with the robot's name has the attributes that all element
 child classes has attributes that several elements share. A child class is named ``wheel`` or ``leg`` after the role of
 its elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. Roles
 come from the structure alone: a wheel is the last hinge of a limb, has no limits, and its shapes are round about its
-axis; the joints between trunk and wheel are its leg. A robot without wheels has no roles.
+axis; the joints between trunk and wheel are its leg. The joints of a robot without wheels have no roles.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Notes:
 
 
 class Names:
-    """Unique names of the free joints, loop closures, and anchor sites of an MJCF."""
+    """The unique names of the free joints, loop closures, and anchor sites of an MJCF."""
 
     def __init__(self, robot: desc.RobotDescription) -> None:
         joints = desc.Numbered(dof.name for dof in robot.dofs)

@@ -23,7 +23,7 @@ class Element:
     comment: str = ""
 
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
-        """Append and return a child element.
+        """Append a child element to this XML element, and return the child.
 
         The XML attributes in ``given`` are printed last. The keyword argument ``class_`` sets ``class``.
         """

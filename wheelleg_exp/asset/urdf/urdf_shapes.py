@@ -160,7 +160,7 @@ class Shapes:
             shape = Shape("mesh", (), frame, vertices, faces)
             self._points += shape.points
             require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
-            flat = flat_to_box(shape) if placed.collides else shape  # MuJoCo makes a collider convex.
+            flat = flat_to_box(shape) if placed.collides else shape  # MuJoCo collides convex hulls.
             if flat is not shape:
                 self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
             return flat

@@ -131,7 +131,7 @@ class Filters:
 
 @dataclass
 class _Rules:
-    """The pairs of sets of shapes that never touch; each set contains the prim paths of its shapes."""
+    """The collision rules: pairs of sets of shapes that never touch; each set contains the prim paths of its shapes."""
 
     sides: list[tuple[set[str], set[str]]] = field(default_factory=list)
 

@@ -84,8 +84,8 @@ def is_exact(joint: Joint) -> bool:
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
     """Return a loop's closing joint that no MuJoCo equality can replace, and the joint to open instead; or None.
 
-    The joint that opens the loop instead has no drive, and a MuJoCo equality can replace it. If several joints of the
-    loop qualify, the joint furthest from the root is returned.
+    The joint to open has no drive, and a MuJoCo equality can replace it. If several joints of the loop have no drive
+    and can be replaced, the one furthest from the root is returned.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -163,7 +163,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
     The spanning tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from
-    the root. If no equality can replace the opened joint, a different joint of the loop is opened if possible.
+    the root. If no MuJoCo equality can replace the opened joint, a different joint of the loop is opened if possible.
 
     The base mode ``floating`` drops joints that fix a root to the world; ``fixed`` drops the free joint of the root.
     """
@@ -173,7 +173,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # Opening a loop at a different joint changes the whole tree, so the tree is built again after each such change.
+    # Opening a loop at a different joint changes the whole spanning tree, so the tree is built again.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()

@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# The values that PhysX uses for unauthored attributes of an applied PhysxJointAxisAPI.
+# the values that PhysX uses for attributes of PhysxJointAxisAPI that the USD file does not set
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
