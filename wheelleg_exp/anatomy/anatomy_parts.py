@@ -1,7 +1,6 @@
 """The parts of a robot, such as wheels and legs, in SI units, and the body tree of the robot's compiled model.
 
-Vectors of wheels, legs, and other parts are in the frame of the base body. Vectors of the body tree are in the world
-frame.
+Vectors of wheels, legs, and other parts are in the frame of the base body; vectors of ``Tree`` are in the world frame.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ class Wheel:
     """A wheel that can carry the robot's weight."""
 
     joint: str  # the name of the hinge on which the wheel turns
-    body: str  # the link that the hinge moves; ``bodies`` contains this link and all links fixed to it
+    body: str  # the link that the wheel's hinge moves; ``bodies`` are this link and all links fixed to it
     bodies: tuple[str, ...]
     axis: Vec3
-    centre: Vec3  # the centre of the wheel's collider, on the hinge's ``axis`` (a unit vector), m
-    radius: float  # the largest extent of the colliders across the axis, m; ``width`` is the extent along the axis
+    centre: Vec3  # the centre of the wheel's collider, on the ``axis`` (a unit vector) of the hinge, m
+    radius: float  # the largest extent of the wheel's colliders across its axis, m; ``width`` is along the axis
     width: float
-    roundness: float  # the smallest extent across the axis, divided by the largest extent; 1 for a body of revolution
-    contact: Vec3  # the point of the wheel that touches level ground, m
+    roundness: float  # the wheel's smallest extent across its axis, divided by the largest; 1 for a body of revolution
+    contact: Vec3  # the point at which the wheel touches level ground, m
     side: Side  # the side of the robot's middle on which the wheel is, seen along the robot's forward axis
     sign: int  # +1 if a positive wheel speed moves the robot forwards, -1 if backwards, 0 if in another direction
     driven: bool  # whether a motor drives the wheel; false for a caster
     stands: bool  # whether the wheel is as low as the lowest wheel and carries the robot on level ground
-    steered: bool  # whether the wheel's parent joint is an unlimited vertical hinge, as in a swerve drive
-    # whether the wheel trails a passive steering axis; false if all wheels of the robot trail one
+    steered: bool  # whether an unlimited vertical hinge steers the wheel, as in a swerve drive
+    # whether the wheel is a caster behind a passive steering axis; false if all wheels are
     caster: bool
-    why: str  # the reason, with figures, why the part counts as a wheel
+    why: str  # the reason, with numbers, why the link counts as a wheel
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Leg:
     """The chain of ``joints`` from the base to a wheel, without the wheel's joint; ``passive`` joints have no motor.
 
     ``beside`` contains joints of the limb that are not between the base and a wheel, usually one half of a closed loop.
-    ``loops`` names the equality constraints that close loops in the limb.
+    ``loops`` names MuJoCo's equality constraints that close loops in the limb.
     """
 
     wheel: str
@@ -60,8 +59,8 @@ class Leg:
 class MirroredPair:
     """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
-    The mirror image of ``left`` at position q is ``right`` at position ``sign`` · q. ``offset`` is the distance of the
-    right joint's axis from the mirrored axis of the left joint, m. ``tilt`` is the angle between these two axes, rad.
+    The mirror image of ``left`` at position q is ``right`` at position ``sign`` · q. ``offset`` is the distance, m,
+    and ``tilt`` the angle, rad, between the right joint's axis and the mirrored axis of the left joint.
     """
 
     left: str
@@ -76,23 +75,23 @@ class Anatomy:
     """The wheels, legs, and other parts of a robot at one pose."""
 
     base: str  # the root link
-    floating: bool  # whether the base can move freely in the world
-    size: float  # the longest edge of the bounding box, along the base's axes, of all colliders and joints, m
-    wheels: tuple[Wheel, ...]  # the wheels in the order of the model
+    floating: bool  # whether the robot's base can move freely in the world
+    size: float  # the longest edge of the robot's bounding box along the base's axes, m
+    wheels: tuple[Wheel, ...]  # the robot's wheels, in the order of the model
     legs: tuple[Leg, ...]  # one for each wheel
-    others: tuple[str, ...]  # joints outside of legs and wheels, such as arms, or the legs of a robot without wheels
-    # the horizontal rolling direction of the wheels except casters; None without parallel axles
+    others: tuple[str, ...]  # joints that belong to no wheel and no wheeled leg, such as those of an arm
+    # the horizontal rolling direction of all wheels except casters; None for a robot without parallel axles
     forward: Vec3 | None
     left: Vec3 | None  # the horizontal direction to the left of ``forward``
     up: Vec3  # against gravity
     middle: Vec3  # a point of the mirror plane between the left and right sides, m
-    mirrored: tuple[MirroredPair, ...]  # the pairs of mirrored joints, with the left joint first
-    unmatched: tuple[str, ...]  # joints without a mirror image
-    # the height of the wheels' contacts over the base's origin, m, usually negative; None without wheels
+    mirrored: tuple[MirroredPair, ...]  # the pairs of joints that are mirror images, with the left joint first
+    unmatched: tuple[str, ...]  # the joints that have no mirror image
+    # the height of the wheels' contacts over the base's origin, m, usually negative; None for a robot without wheels
     support_height: float | None
-    support_width: float  # the distance between the outermost wheel contacts across ``forward``, m
-    support_length: float  # the distance between the outermost contacts along ``forward``, m; almost 0 on one axle
-    near: dict[str, str]  # the joints that lack one property of a wheel, with the missing property
+    support_width: float  # the distance between the outermost wheel contacts, across ``forward``, m
+    support_length: float  # the distance between the outermost wheel contacts along ``forward``, m; about 0 on one axle
+    near: dict[str, str]  # joints that lack one property of a wheel's joint, with the name of this property
 
     @property
     def wheel_joints(self) -> list[str]:
@@ -148,7 +147,7 @@ class Tree:
     def below(self, body: int) -> list[int]:
         """Return a body and all bodies below it."""
         found = {body}
-        for other in range(body + 1, self.model.nbody):  # In MuJoCo, parents have smaller indices than children.
+        for other in range(body + 1, self.model.nbody):  # In MuJoCo, a parent has a smaller index than its children.
             if int(self.model.body_parentid[other]) in found:
                 found.add(other)
         return sorted(found)
@@ -164,7 +163,7 @@ class Tree:
         return list(range(start, start + int(self.model.body_jntnum[body])))
 
     def chain(self, body: int) -> list[int]:
-        """Return the joints from the base to a body, in this order, without the joints of the base."""
+        """Return the joints from the base to a body, from the base outwards, without the joints of the base."""
         found: list[int] = []
         while body not in (self.base, 0):
             found = self.joints_of(body) + found

@@ -17,7 +17,7 @@ _GEOM = mujoco.mjtGeom
 
 
 def colliders(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the colliding shapes of bodies, without infinite shapes such as planes."""
+    """Return the colliding shapes of bodies, except infinite shapes such as planes."""
     wanted = set(bodies)
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return [
@@ -28,7 +28,7 @@ def colliders(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> float:
-    """Return the world height of the lowest point of the bodies' colliding shapes, m; inf without shapes."""
+    """Return the height in the world of the lowest point of the bodies' colliding shapes, m; inf without shapes."""
     down = np.array([[0.0, 0.0, -1.0]])
     return -float(reach(model, data, colliders(model, bodies), np.zeros(3), down)[0])
 
@@ -61,16 +61,16 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent uses the hull's vertices.
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent handles the hull of a mesh.
 }
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two bodies whose colliders overlap by ``depth``, m, the shortest separating motion; the parent body is first.
+    """Two bodies, the parent first, whose colliders overlap; a motion by ``depth``, m, would separate them.
 
-    ``neighbours`` states whether a joint connects the two bodies. ``acts`` states whether the model enables contacts
-    between the two bodies.
+    ``neighbours`` states whether a joint connects the two overlapping bodies. ``acts`` states whether the MuJoCo model
+    enables contacts between the two bodies.
     """
 
     bodies: tuple[str, str]
@@ -82,7 +82,7 @@ class Overlap:
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
     """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, starting with the deepest overlap.
 
-    The result omits pairs of bodies that are welded together or that the model excludes from contacts by name.
+    The result omits pairs of bodies that are welded together or that an MJCF exclude keeps from contact.
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
@@ -90,7 +90,7 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # MuJoCo also filters contacts by collision bits of the bodies, which must match the changed bits of the geoms.
+    # MuJoCo filters contacts by the bodies' collision bits too, so these must match the changed bits of the geoms.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     pairs = sorted(_depths(free, qpos, bodies).items(), key=lambda item: -item[1])

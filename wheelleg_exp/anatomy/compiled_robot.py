@@ -23,16 +23,16 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # The distance of a corrected default position from the joint limit, as a share of the joint's range.
-_OFF = 0.02  # The smallest distance of the file's joint position from the limits, as a share of the joint's range.
+_INSIDE = 0.25  # A default position outside the limits is moved this far inside, as a share of the joint's range.
+_OFF = 0.02  # The smallest distance of a default position from the joint's limits, as a share of the joint's range.
 
 
 @dataclass(frozen=True)
 class Drive:
     """The actuator of one joint: kp, N·m/rad, kd, N·m·s/rad, largest torque, N·m, and largest speed, rad/s.
 
-    The gains are NaN if an actuator network computes the torque. An ``explicit`` drive computes the torque before each
-    physics step.
+    The drive's gains are NaN if an actuator network computes the torque. An ``explicit`` drive computes the torque
+    before each physics step.
     """
 
     group: str
@@ -45,16 +45,16 @@ class Drive:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint at the default pose, in rad and rad/s; ``low`` and ``high`` are infinite if the joint has no limits."""
+    """A joint at the robot's default pose, in rad and rad/s; ``low`` and ``high`` are infinite without limits."""
 
     default: float
     default_velocity: float
     low: float
     high: float
     armature: float  # reflected rotor inertia, kg·m²
-    inertia: float  # the inertia of the joint's load about the joint's axis, kg·m², without armature
-    effective: float  # the inertia, with armature, that a torque accelerates while all other joints are free
-    hold: float  # the joint torque that carries the weight at rest, N·m
+    inertia: float  # the inertia about the joint's axis of the links that the joint moves, kg·m², without armature
+    effective: float  # the inertia, with armature, that the joint's torque accelerates while all other joints are free
+    hold: float  # the joint torque that carries the robot's weight at rest, N·m
     drive: Drive | None  # its actuator, or None
 
     @property
@@ -67,9 +67,9 @@ class Joint:
 class Balance:
     """The inverted pendulum that is equivalent to a robot on one axle.
 
-    The mass, kg, and the inertia about the axle, kg·m², exclude the wheels. ``height`` is the height of the centre of
-    mass over the axle, m. The robot's rate of fall, rad/s, is ``pole`` if the wheels are locked to the body and roll,
-    and ``pendulum``, sqrt(m g h / I), if the axle is fixed.
+    The pendulum's mass, kg, and its inertia about the axle, kg·m², exclude the wheels. ``height`` is the height of the
+    pendulum's centre of mass over the axle, m. The robot falls at the rate ``pole``, rad/s, if it rolls on wheels that
+    are locked to the body, and at the rate ``pendulum``, sqrt(m g h / I), if the axle is fixed.
     """
 
     mass: float
@@ -81,19 +81,19 @@ class Balance:
 
 @dataclass(frozen=True)
 class RobotFacts:
-    """Facts of the whole robot: ``mass`` in kg, ``gravity`` in m/s², and the joints by name, in the robot's order."""
+    """Facts of the whole robot, with ``mass`` in kg, ``gravity`` in m/s², and the robot's joints by name."""
 
     mass: float
     gravity: float
     joints: dict[str, Joint]
     wheels: tuple[str, ...]  # the names of the wheels' joints; ``wheel_radius``, m, is 0 without wheels
     wheel_radius: float
-    track: float  # the distance between the outermost wheels, m
-    # the height of the root over the ground if the lowest point of the default pose touches the ground, m
+    track: float  # the distance between the leftmost and the rightmost wheel, m
+    # the height of the root link over the ground if the robot touches the ground in its default pose, m
     standing_height: float
-    clearance: float  # the height of the lowest point over the ground at the start, m; negative inside the ground
+    clearance: float  # the height of the robot's lowest point at the start over the ground, m; negative inside
     friction: float  # the effective friction coefficient between wheels and ground
-    balance: Balance | None  # None if the robot does not have to balance on one axle
+    balance: Balance | None  # the equivalent pendulum; None for a robot that does not balance on one axle
 
     @property
     def weight(self) -> float:
@@ -102,18 +102,18 @@ class RobotFacts:
 
     @property
     def wheel_load(self) -> float:
-        """The robot's weight per wheel, N; the whole weight without wheels."""
+        """The robot's weight per wheel, N; for a robot without wheels, its whole weight."""
         return self.weight / max(1, len(self.wheels))
 
     @property
     def top_speed(self) -> float:
-        """The robot's speed at the velocity limit of the wheels, m/s; 0 without driven wheels."""
+        """The robot's speed at the velocity limit of the wheels, m/s; 0 for a robot without driven wheels."""
         speeds = [drive.velocity for name in self.wheels if (drive := self.joints[name].drive) is not None]
         return min(speeds) * self.wheel_radius if speeds else 0.0
 
 
 def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None) -> RobotFacts:
-    """Measure a robot at its default pose, in the scene with which the robot was compiled."""
+    """Measure a compiled robot at its default pose."""
     data = at_default(model, robot)
     anatomy = anatomy or anatomy_of(model, data.qpos)
     gravity = float(np.linalg.norm(model.opt.gravity))
@@ -159,10 +159,10 @@ def _joints(
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     inverse = np.linalg.inv(matrix)
-    # The torques (nv,) that hold the default pose while each wheel carries an equal share of the weight.
+    # Return the joint torques (nv,) that hold the default pose while each wheel carries the same share of the weight.
     hold = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
-    # The ground pushes each wheel up at its lowest point; the Jacobian's z row maps this force to joint torques.
+    # The ground pushes each wheel up at its lowest point; the z row of that point's Jacobian gives the joint torques.
     for bodies in wheels:
         point = data.xpos[bodies[0]].copy()
         point[2] = lowest_point(model, data, bodies)
@@ -174,7 +174,7 @@ def _joints(
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            # Rounding to seven digits removes the rounding errors of float32.
+            # Rounding a value to seven digits removes the rounding errors of float32.
             kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     joints = {}
@@ -227,8 +227,8 @@ def _inertia_about(model: mujoco.MjModel, data: mujoco.MjData, body: int, point:
 class CompiledRobot:
     """A robot in its compiled scene; ``data`` is at the start of episodes, with all derived quantities computed.
 
-    ``drawn`` is the anatomy in the pose of the robot file, with all joints at zero. ``anatomy`` is the anatomy at the
-    start of episodes. ``report`` is the conversion report; None for an MJCF file.
+    ``drawn`` contains the robot's parts in the pose of the robot file, with all joints at zero. ``anatomy`` contains
+    the robot's parts at the start of episodes. ``report`` is the conversion report; None for an MJCF file.
     """
 
     model: mujoco.MjModel
@@ -248,10 +248,10 @@ class CompiledRobot:
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
-    """Return a copy of a model with the limits that the robot's URDF specifies for continuous joints.
+    """Return a copy of a MuJoCo model with the limits that the robot's URDF states for continuous joints.
 
-    Limits of continuous joints have no effect in the original model. The last joint of a chain gets none: it can be a
-    wheel.
+    Limits of continuous joints have no effect in the MuJoCo model that was given. The last joint of a chain gets none:
+    it can be a wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -264,10 +264,10 @@ def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.
 def compiled_robot(
     model: mujoco.MjModel, robot: Robot, report: Report | None = None, driven: Collection[str] | None = None
 ) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a compiled scene and the robot's measured facts.
+    """Return the robot of a compiled scene, and the facts that are measured on this robot.
 
-    ``driven`` contains the joints with a drive in the robot file, for a robot without actuators. None means that the
-    file has no drives.
+    ``driven`` contains the joints with a drive in the robot file, for a robot without actuators. If ``driven`` is None,
+    the robot file has no drives.
     """
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None
@@ -314,7 +314,7 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
     """Return a text that names colliders and wheels whose mesh files are missing or damaged.
 
-    The returned text is empty if no missing collider is known.
+    The returned text is empty if all these files could be read.
     """
     files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]

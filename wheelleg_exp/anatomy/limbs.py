@@ -12,27 +12,27 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # a joint with a range above this value, rad, counts as unlimited
+TURNS = 3 * math.pi  # The joint of a wheel counts as unlimited if its range, rad, is above this value.
 LEVEL = 0.5  # An axle is horizontal if the vertical component of its direction is below this value.
-_ROUND = 0.9  # The smallest roundness of a wheel, which is the roundness of a regular polygon with seven corners.
-_ROUGH = 0.6  # The smallest roundness of a wheel (that of a square) if the mass distribution is that of a wheel.
+_ROUND = 0.9  # The smallest ratio of a wheel's smallest radius to its largest radius, as in a regular heptagon.
+_ROUGH = 0.6  # A body with the mass distribution of a wheel counts as a wheel down to this roundness, that of a square.
 _LOW = 0.4  # The lowest point of a wheel is below this share of the robot's height.
-_BESIDE = 0.05  # The largest offset of a wheel's shape from the axis, as a share of the radius.
+_BESIDE = 0.05  # The largest distance of a wheel's shape from the wheel's hinge axis, as a share of the wheel's radius.
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # Two moments of inertia with a smaller relative difference count as equal.
-_CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the radius.
-_HALF_TURN = math.pi  # a round part with a range above this value, rad, is reported as almost a wheel
+_CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the wheel's radius.
+_HALF_TURN = math.pi  # A round part whose hinge has a range above this value, rad, is reported as almost a wheel.
 _AROUND = 48
 
 
 @dataclass(frozen=True)
 class Found:
-    """A wheel's hinge and shape in the world frame, m.
+    """The hinge and the shape of a part that may be a wheel, in the world frame, m.
 
-    The hinge ``joint`` moves ``bodies``. ``centre`` is the colliders' centre, which is on the hinge's axis. ``radius``
-    is the largest extent of the colliders across the axis. ``roundness`` is the smallest extent across the axis,
-    divided by the largest extent. ``beside`` is the distance between the hinge's axis and the axis about which the
-    colliders are round; 0 if the colliders are not round.
+    The hinge ``joint`` moves ``bodies``. ``centre`` is the centre of the wheel's colliders, on the hinge's axis.
+    ``radius`` is the largest extent of the wheel's colliders across the hinge's axis. ``roundness`` is the smallest
+    extent of the wheel's colliders across this axis, divided by ``radius``. ``beside`` is the distance between the
+    hinge's axis and the axis of the round colliders; 0 if they are not round.
     """
 
     joint: int
@@ -51,9 +51,9 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     found, near = [], {}
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
-    highest = -down + _LOW * (top + down)  # the maximum height of a wheel's lowest point, m
+    highest = -down + _LOW * (top + down)  # the largest allowed height of a wheel's lowest point, m
     for joint in tree.joints:
-        # Whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its chain.
+        # Return whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its limb.
         body = int(tree.model.jnt_bodyid[joint])
         last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
         if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
@@ -90,14 +90,14 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-    # Measure the extent of the wheel's shape in all directions across the axis, and along the axis.
+    # Measure the extent of a wheel's shape along the wheel's axis and in all directions across this axis.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
-    # The distance from the hinge's axis to the axis of a round outline, m; 0 if the outline is not round.
-    # An off-centre circle's support function is the radius plus a cosine, the function's first harmonic.
+    # The distance from the hinge's axis to the axis of the wheel's round outline, m; 0 if the outline is not round.
+    # The support function of an off-centre circle is its radius plus a cosine of the direction (the first harmonic).
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     beside = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -108,7 +108,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
 
 
 def _where_its_shape_is(shape: Found) -> str:
-    """Return why a joint's colliders are not those of a wheel, for a joint with the mass distribution of a wheel."""
+    """Return why a link is no wheel by its colliders, although its mass distribution is that of a wheel."""
     if shape.beside > _BESIDE * shape.radius:
         return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
@@ -132,7 +132,7 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows of the matrix are two unit vectors across the axis.
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The matrix rows are two unit vectors across the wheel's axis.
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
@@ -151,7 +151,7 @@ _BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 
 
 def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> list[Leg]:
-    """Return the leg of each wheel; ``wheels`` and ``driven`` are joints."""
+    """Return the leg of each wheel; ``wheels`` and ``driven`` are indices of joints."""
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
@@ -166,7 +166,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     closures = found
-    # For each body that is not fixed to the base, the set of connected bodies, without the base.
+    # the set of bodies connected with each body that is not fixed to the base; the sets exclude the base
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -186,9 +186,9 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     return legs
 
 
-_APART = 0.15  # The largest distance of a joint from its partner's mirror image, as a share of the robot's size.
+_APART = 0.15  # The largest distance of a joint from the mirror image of its partner, as a share of the robot's size.
 _TILTED = math.radians(30)
-_MIDDLE = 0.01  # A joint nearer to the mirror plane than this share of the robot's size is in the middle.
+_MIDDLE = 0.01  # A joint nearer to the mirror plane than this share of the robot's size is its own mirror image.
 
 
 def find_mirrored(
@@ -197,8 +197,8 @@ def find_mirrored(
     """Return the pairs of mirrored joints, and the joints without a mirror image.
 
     The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
-    ``size`` is the robot's size, m. ``wheels`` maps joints to the centres of wheels, m. Wheel centres are more precise
-    than joint anchors.
+    ``size`` is the size of the robot, m. ``wheels`` maps wheel joints to the centres of the wheels, m, which are more
+    precise than the anchors of the joints.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
@@ -210,8 +210,8 @@ def find_mirrored(
         for other in joints:
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
-                # The angle between a joint's mirrored axis and another joint's axis, rad, and the sign of its motion.
-                # A mirror M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
+                # the angle, rad, between a joint's mirrored axis and a second joint's axis, and the sign of the motion
+                # A mirror matrix M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1
@@ -220,7 +220,7 @@ def find_mirrored(
         if options:
             _, other, offset, tilt, sign = min(options)
             images[joint] = other, offset, tilt, sign
-    # Accept only mutual best images, so that no joint belongs to two pairs.
+    # Accept a pair only if each joint is the other's best mirror image, so that no joint belongs to two pairs.
     pairs, matched = [], set()
     for joint, (other, offset, tilt, sign) in images.items():
         if joint in matched or images.get(other, (None,))[0] != joint:

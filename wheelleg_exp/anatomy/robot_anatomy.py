@@ -14,25 +14,25 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Sid
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
-_PARALLEL = 0.9  # At least this share of the axles must be parallel to define a forward direction.
-# A wheel rolls forwards if the cosine between its rolling direction and the forward axis exceeds this value.
+_PARALLEL = 0.9  # A robot has a forward direction if at least this share of its axles is parallel.
+# A wheel rolls forwards if the cosine between its rolling direction and the robot's forward axis exceeds this value.
 _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # A wheel nearer to the robot's middle than this share of the track width is a middle wheel.
-_LEVEL_WITH = 0.03  # A standing wheel is at most this share of the robot's size above the lowest wheel.
-_AHEAD = 0.3  # The first component of a direction with at least this absolute value decides the direction's sign.
+_LEVEL_WITH = 0.03  # A wheel at most this share of the robot's size above the lowest wheel stands on level ground.
+_AHEAD = 0.3  # A direction's first component with at least this absolute value decides the direction's sign.
 _TRAILS = 0.1  # The smallest distance of a caster's contact from its steering axis, as a share of the wheel radius.
 
 
 def anatomy_of(
     model: mujoco.MjModel, qpos: Array | Sequence[float] | None = None, driven: Collection[str] | None = None
 ) -> Anatomy:
-    """Find the parts of a robot at the pose ``qpos`` (nq,), by default the model's qpos0; ValueError without bodies.
+    """Find the parts of a robot at the pose ``qpos`` (nq,), by default qpos0; ValueError for a model without bodies.
 
     A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
-    horizontal, and is the last joint of the kinematic chain. A wheel's colliders are round about the hinge's axis (or
-    nearly round, if the mass distribution is that of a wheel), and near the ground. ``driven`` are the joints with a
+    horizontal, and is the last joint of the kinematic chain. A wheel's colliders are near the ground and round about
+    the hinge's axis (or nearly round, if the mass distribution is that of a wheel). ``driven`` are the joints with a
     motor: by default those with actuators in the model, or all joints if the model has none. If the robot has no
-    actuators and ``driven`` is None, casters are recognised only by geometry.
+    actuators and ``driven`` is None, only geometry decides which wheels are casters.
     """
     data = mujoco.MjData(model)
     if qpos is not None:
@@ -70,7 +70,7 @@ def anatomy_of(
 
 @dataclass(frozen=True)
 class _Axles:
-    """The directions and contact points of all wheels in the world frame, in the order of the wheels."""
+    """The rolling directions and contact points of all wheels in the world frame, in the order of the wheels."""
 
     size: float
     forward: Array | None
@@ -84,12 +84,12 @@ class _Axles:
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    # A caster trails its passive steering hinge. If all wheels trail a steering hinge, no wheel counts as a caster.
+    # A caster is a wheel behind a passive steering hinge. If all wheels are behind one, no wheel counts as a caster.
     trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
     casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
-    # The longest edge of the bounding box of all colliders and joints, along the base's axes, m.
+    # The longest edge, along the base's axes, of the bounding box of the robot's colliders and joints, m.
     origin, edges = tree.data.xpos[tree.base], tree.to_base
     solid = colliders(tree.model, tree.bodies)
     anchors = [tree.to_base @ (tree.data.xanchor[joint] - origin) for joint in tree.joints]
@@ -149,11 +149,11 @@ def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
-    """Return the horizontal rolling direction, towards the base's x axis if possible; None without parallel axles."""
+    """Return the horizontal rolling direction of a robot, towards the base's x axis; None without parallel axles."""
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
-    # The first eigenvector of the summed outer products is the common axis for any signs of the axes.
+    # The first eigenvector of the sum of the axles' outer products is the common axis for any signs of the axles.
     sizes, directions = np.linalg.eigh(sum(np.outer(axis, axis) for axis in level) / len(level))
     if sizes[-1] < _PARALLEL * sizes.sum():
         return None

@@ -18,14 +18,15 @@ from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limi
 
 Array = NDArray[np.float64]
 
-_STARTS = 10  # The search for a stance starts from this many random poses and from the given pose.
+_STARTS = 10  # The search for a standing pose starts from this many random poses and from the given pose.
 _STEPS = 40  # iterations from each start
-_MARGIN = 0.08  # The smallest distance of a joint from its limits, as a share of the joint's range.
-# A stance above or below these shares of the largest height gets a height of _STANDS.
+_MARGIN = 0.08  # The smallest distance of a joint from its limits in a standing pose, as a share of the joint's range.
+# A standing pose above or below these shares of the largest height gets a height of _STANDS instead.
 _STRETCHED, _CROUCHED = 0.93, 0.35
-_STANDS = (0.8, 0.55)  # The heights that replace those of stretched and crouched legs, as shares of the largest height.
-_CLEARANCE = 0.5  # All parts except wheels must be this share of the wheel radius above the ground.
-_REACH = math.pi  # the search covers this range of an unlimited joint in both directions, rad
+# Standing heights to try instead of those of stretched and crouched legs, as shares of the largest height.
+_STANDS = (0.8, 0.55)
+_CLEARANCE = 0.5  # All links except wheels must be this share of the wheel radius above the ground.
+_REACH = math.pi  # The search covers this range of an unlimited joint in both directions, rad.
 _BALANCED = 5e-3  # The largest distance of a balanced centre of mass from the axle, as a share of the robot's size.
 _TOUCHES = 2e-3  # The largest height of a touching wheel above the lowest wheel, as a share of the robot's size.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -33,25 +34,24 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 @dataclass(frozen=True)
 class Stance:
-    """A standing pose of a robot."""
+    """A standing pose of a robot, and its properties."""
 
     positions: dict[str, float]  # the positions of the leg joints by name, rad (m)
-    height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest height found
-    offset: float  # the distance of the centre of mass in front of the middle of the contacts, m; negative behind
-    # the base pitch that would remove ``offset``, rad, positive forwards down; 0 for a robot on several axles
+    height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest such height
+    offset: float  # the distance of the centre of mass in front of the middle of the wheel contacts, m
+    # the pitch of the base that would make ``offset`` zero, rad, positive if the front is lower; 0 on several axles
     lean: float
     tallest: float
-    balanced: bool  # whether ``offset`` is almost zero
-    grounded: bool  # whether every wheel that should stand touches level ground
+    balanced: bool  # whether the robot balances, so that ``offset`` is almost zero
+    grounded: bool  # whether every wheel that should carry weight touches level ground
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find a robot's standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
 
-    The base keeps its orientation, and only the legs' joints move. ``mujoco.minimize`` solves a nonlinear least-squares
-    problem from several starts. The first optimisation problem requires that all wheels touch the ground. If no pose
-    satisfies the first problem, a second problem requires ground contact only of the wheels that stand at the given
-    pose.
+    The base keeps the orientation of the given pose, and only the legs' joints move. ``mujoco.minimize`` solves a
+    nonlinear least-squares problem from several starts. All wheels must touch the ground; if no such pose exists, only
+    those wheels that touch the ground in the given pose must touch it.
     """
     if anatomy.forward is None:
         return None
@@ -92,7 +92,7 @@ class _Problem:
         rotation = self.data.xmat[self.base].reshape(3, 3)
         self.forward, self.up = (rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.up))
         self.wheels = [model.body(wheel.body).id for wheel in anatomy.standing]
-        # The wheels' centres are in the wheels' own frames, m.
+        # the centres of the wheels in the frames of the wheels' bodies, m
         self.centres = [
             self.data.xmat[body].reshape(3, 3).T
             @ (self.data.xpos[self.base] + rotation @ np.array(wheel.centre) - self.data.xpos[body])
@@ -105,11 +105,11 @@ class _Problem:
         self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
-        # The mirrored pairs of moving joints, as two indices and a sign.
+        # The pairs of moving joints that are mirror images, each as two joint indices and a sign.
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
-        self.rest = overlap_depths(model, self.data, self.bodies)  # The preferred pose may have overlaps.
+        self.rest = overlap_depths(model, self.data, self.bodies)  # the allowed depths of overlaps
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -120,7 +120,7 @@ class _Problem:
         return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
 
     def at(self, positions: Array) -> mujoco.MjData:
-        """Return MuJoCo's data of the robot in a pose, including contacts."""
+        """Return MuJoCo's data of the robot in a pose, with computed contacts."""
         self.data.qpos[self.places] = positions
         mujoco.mj_fwdPosition(self.model, self.data)
         return self.data
@@ -136,11 +136,11 @@ class _Problem:
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
-        """Return the height of the preferred pose, or a default height if its legs are stretched or fully folded."""
+        """Choose the height of the preferred pose, or a default height if its legs are stretched or fully folded."""
         self.at(self.preferred)
         now = self._height()
         heights = []
-        # For every type of leg, the largest height among random poses approximates the height of stretched legs.
+        # The largest height among random poses approximates the height of stretched legs, for any type of leg.
         for pose in self.random_poses(400):
             self.data.qpos[self.places] = pose
             mujoco.mj_kinematics(self.model, self.data)
@@ -158,12 +158,12 @@ class _Problem:
         return list(poses)
 
     def overlap(self) -> float:
-        """Return the largest increase of a pair's overlap depth compared with the preferred pose, m."""
+        """Return by how much the overlap of two bodies exceeds their overlap in the preferred pose, m, at most."""
         depths = overlap_depths(self.model, self.data, self.bodies)
         return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
     def offset(self) -> float:
-        """Return the distance of the centre of mass in front of the middle of the wheels, m."""
+        """Return the distance of the robot's centre of mass in front of the middle of the wheels, m."""
         places = self._centres() @ self.forward
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
@@ -172,13 +172,13 @@ class _Problem:
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
-        low = -lowest_point(self.model, data, self.raised)  # In a scene, the z axis of the world is up.
+        low = -lowest_point(self.model, data, self.raised)  # In a compiled scene, the world's z axis points upwards.
         low = ground + low if math.isfinite(low) else -math.inf
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
-        # The weights set the order of importance: closed loops and ground contact, then balance, then a natural pose.
-        # On several axles, balance has a smaller weight, because the axles can carry a mass between them.
+        # The weights make closed loops and ground contact most important, then balance, then a natural pose.
+        # On several axles, balance has a smaller weight than on one, because the axles can carry a mass between them.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
         # The distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
@@ -205,7 +205,7 @@ class _Problem:
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
-        """Return the leg pose with the locally smallest cost near a start pose."""
+        """Return the leg pose with the smallest cost near a start pose."""
 
         def columns(poses: Array) -> Array:
             return np.stack([self.residual(pose) for pose in poses.T], axis=1)
@@ -216,7 +216,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return the pose with exactly symmetric legs; return the pose unchanged if symmetry costs too much."""
+        """Return a leg pose made exactly symmetric, or the unchanged pose if symmetry costs too much."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2
@@ -237,7 +237,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class Weight:
-    """The centre of mass without the wheels: ``ahead`` of and ``above`` the middle of the axle, m, and in the world."""
+    """The centre of mass without the wheels, in the world and as distances from the middle of the axle, m."""
 
     ahead: float
     above: float
@@ -245,12 +245,12 @@ class Weight:
 
     @property
     def lean(self) -> float:
-        """The angle from the vertical to the line from the axle to the centre of mass, rad; positive to the front."""
+        """The angle from the vertical to the line from the axle to the centre of mass, rad; positive forwards."""
         return math.atan2(self.ahead, self.above)
 
 
 def weight_over_axle(robot: CompiledRobot) -> Weight:
-    """Return the centre of mass at the start of episodes, for a robot with a forward direction."""
+    """Return the robot's centre of mass at the start of episodes; the robot must have a forward direction."""
     model, anatomy = robot.model, robot.anatomy
     data = robot.data
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
@@ -265,7 +265,7 @@ def weight_over_axle(robot: CompiledRobot) -> Weight:
 
 
 def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
-    """Return leg joint positions that put the centre of mass above the axle with a level base; None if impossible."""
+    """Return positions of the leg joints that balance the robot with a level base; None if no positions do."""
     model = with_written_limits(robot.model, robot.report)
     stance = solve_stance(model, robot.anatomy, robot.data.qpos)
     return stance.positions if stance is not None and stance.balanced else None

@@ -1,4 +1,4 @@
-"""Cache converted robots in a folder, keyed by the content of every source file of the robot.
+"""Cache converted robots in a folder; a robot's key is a hash of the contents of its source files.
 
 Files that a config names in addition to the robot (actuator networks, the terrain file) are copied next to the cached
 MJCF.
@@ -34,8 +34,8 @@ from wheelleg_exp.terms.config_values import require_fit
 def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot file.
 
-    The section can name actuator networks and a terrain file. The keys of the returned mapping are the paths of the
-    copied files in the MJCF's folder. ``roots`` are user-defined asset folders.
+    An ``env`` section can name actuator networks and a terrain file. The function returns each file by the path of its
+    copy in the MJCF's folder. ``roots`` are user-defined asset folders.
     """
     groups = env["robot"].get("actuators")
     named = [
@@ -62,8 +62,8 @@ _ATTEMPTS = 3  # attempts per cache entry
 class CachedConversion:
     """An MJCF in the cache.
 
-    ``sources`` maps each source file's path, relative to the robot file's folder, to the file's sha256. ``fresh`` is
-    false if the MJCF was already in the cache.
+    ``sources`` maps the path of each source file of the robot, relative to the robot file's folder, to the file's
+    sha256. ``fresh`` is false if the cache already contained the robot's MJCF.
     """
 
     output: Path
@@ -74,7 +74,7 @@ class CachedConversion:
 
     @property
     def meshes(self) -> tuple[Path, ...]:
-        """The mesh files of the MJCF."""
+        """The mesh files to which the cached MJCF refers."""
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
@@ -109,7 +109,7 @@ def convert_cached(
 
     The cache key is a hash of every USD layer or mesh in use, the options, the converter's code, and the versions of
     the converter's libraries. ``convert_cached`` replaces a damaged cache entry. Several processes can call
-    ``convert_cached`` at once. ``beside`` maps paths in the MJCF's folder to the files that are copied to these paths.
+    ``convert_cached`` at once. ``beside`` maps a path in the MJCF's folder to the file that is copied to that path.
     """
     source, chosen = Path(source), dict(variants or {})
     sources = source_digest(source, chosen, beside)
@@ -170,10 +170,10 @@ def _hashes(entry: Path) -> dict[str, str]:
 
 
 def _publish(draft: Path, entry: Path, scratch: Path) -> None:
-    """Rename the finished draft to the cache entry's path, unless another process has published the entry first."""
+    """Rename a converted robot's folder to the path of its cache entry, unless another process has made the entry."""
     for attempt in range(_ATTEMPTS):
         try:
-            # The rename of the draft folder is atomic. It fails if another process has published the cache entry first.
+            # Renaming the draft folder is atomic, and fails if another process has already made the cache entry.
             draft.rename(entry)
             return
         except OSError:

@@ -57,7 +57,7 @@ def is_placeholder(value: float) -> bool:
 def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
     """Return why a robot's mass (kg) and longest edge (m) are implausible; an empty string if they are plausible.
 
-    ``lightest`` is the smallest plausible density, in kg/m³, of a cube with the edge ``size``.
+    ``lightest`` is the smallest plausible mass per volume of a cube with the robot's longest edge, kg/m³.
     """
     density = mass / size**3 if size > 0 else math.nan
     if not lightest <= density <= DENSITIES[1]:
@@ -67,7 +67,7 @@ def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> st
 
 @dataclass(frozen=True)
 class Verdict:
-    """The quality of a conversion; the level ``check`` means that the user should read the warnings."""
+    """The quality of a conversion; the level ``check`` means that the user should read the conversion's warnings."""
 
     level: Literal["good", "check", "doubtful"]
     reasons: tuple[str, ...] = ()
@@ -100,7 +100,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Mapped:
-    """An element of the robot file, and the MJCF element that the converter made from this element."""
+    """An element of the robot file, and the MJCF element that replaces it."""
 
     path: str
     name: str
@@ -137,10 +137,10 @@ class DofOrder:
 class Report:
     """The report of one conversion.
 
-    ``layers`` maps each source file of the robot to the file's sha256. ``velocity_limits`` gives each degree of
-    freedom's velocity limit in rad/s (m/s). A controller needs these limits, but an MJCF file cannot contain them.
-    ``values`` are the numbers of the converted robot, from ``values_of``. ``authored`` maps each joint's path to the
-    joint's numbers in the robot file, in the file's units.
+    ``layers`` maps each source file of the robot to the sha256 of that file. ``velocity_limits`` gives each degree of
+    freedom's velocity limit in rad/s (m/s). A controller needs velocity limits, but an MJCF file cannot contain
+    velocity limits. ``values`` are the numbers of the converted robot, such as masses and limits, from ``values_of``.
+    ``authored`` maps each joint's path to the joint's numbers in the robot file, in the file's units.
     """
 
     source: str

@@ -1,4 +1,4 @@
-"""Convert a robot's USD or URDF file to an MJCF file. A conversion that fails leaves the output path unchanged."""
+"""Convert a robot's USD or URDF file to an MJCF file. A failed conversion leaves an older MJCF file unchanged."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Conversion:
 def convert(
     source: Path, output: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None
 ) -> Conversion:
-    """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` next to the MJCF.
+    """Convert a USD or URDF file to MJCF. The folder of the meshes is ``<output's stem>_meshes``.
 
-    ``base`` is ``auto`` (as in the robot file; a URDF robot floats), ``floating`` (without a fixed joint to the world),
-    or ``fixed`` (without a free joint). ``variants`` maps USD variant sets to selections. An existing output is
-    replaced.
+    With ``base`` equal to ``floating``, the robot gets no fixed joint to the world; with ``fixed``, the robot gets no
+    free joint; with ``auto``, the robot file decides, and a URDF robot floats. ``variants`` maps each USD variant set
+    to the name of the selected variant. An existing output is replaced.
     """
     source, output = Path(source), Path(output)
     try:
@@ -91,7 +91,7 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 
 
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
-    """Make the first link with mass the root, in place of massless links above it such as ROS's base_footprint.
+    """Make the first link with mass the robot's root, in place of massless parents such as ROS's base_footprint.
 
     Tasks measure a robot's height, velocity, and tilt at the robot's root link. No link moves: the massless links are
     welded to the new root at their old poses.
@@ -180,7 +180,7 @@ def _problem_of(source: Path, output: Path) -> str | None:
 
 
 def _publish(draft: Path, output: Path, old: Path) -> None:
-    """Move the draft MJCF and its meshes to the output path. After an error, restore the old MJCF and its meshes."""
+    """Move a new MJCF and its meshes to the output path; after an error, restore the old MJCF and its meshes."""
     new, target = mesh_folder(draft), mesh_folder(output)
     text = output.read_text(encoding="utf-8", errors="replace") if target.exists() and output.is_file() else ""
     foreign = [path.name for path in target.iterdir() if f'file="{path.name}"' not in text] if target.exists() else []
@@ -194,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # The MJCF is moved last. If the draft MJCF still exists, the old MJCF is unchanged and needs its old meshes.
+        # The meshes are moved before the MJCF, so if the draft MJCF exists, the old MJCF needs its old meshes.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

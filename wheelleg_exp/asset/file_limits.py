@@ -1,8 +1,8 @@
-"""Limits on the size, the references, and the memory of robot files.
+"""Limit the size of robot files, the number of their references, and the memory of their conversion.
 
-The converter refuses a file that exceeds a limit.
+The converter refuses a robot file that is too large or refers to too many files.
 
-`bounded_memory` also limits the memory of a whole conversion, because a damaged file can declare arrays of any size.
+`bounded_memory` limits the memory of a whole conversion, because a damaged file can declare arrays of any size.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def require_plain_file(
 ) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    ``expected`` describes the file in the error message, ``key`` is the prim or element that names the file, and
-    ``where`` is the file that contains this prim or element.
+    In the error message, ``expected`` describes a valid file, ``key`` is the prim or XML element that names the path,
+    and ``where`` is the file that contains ``key``.
     """
     problem = _problem_of(path, largest)
     if problem:
@@ -91,7 +91,7 @@ _open: list[tuple[int, int]] = []  # limits before each conversion
 
 @contextmanager
 def bounded_memory(source: Path) -> Iterator[None]:
-    """On Linux, limit the memory of this process to 8 GiB beyond the current memory.
+    """On Linux, limit this process to 8 GiB more memory than it uses at the time of the call.
 
     A damaged USD crate file of a few bytes can declare an array of two thousand million numbers, and the USD library
     allocates the array before it checks the file. The memory limit applies to all threads of the process.

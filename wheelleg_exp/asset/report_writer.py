@@ -1,4 +1,4 @@
-"""Make the conversion report from the robot description and records; find missing colliders and implausible sizes."""
+"""Make the conversion report of a robot; find missing colliders and implausible sizes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
     """Yield a finding ``implausible_size`` with the mass and size of each root body that has joints and colliders.
 
-    The size is the longest edge of the bounding box of colliders and joints, along the root body's axes, at ``qpos0``.
+    A robot's size is the longest edge of the bounding box of its colliders and joints, along the root body's axes.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

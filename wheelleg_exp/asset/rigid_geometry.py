@@ -23,7 +23,7 @@ def single(value: float) -> float:
     """Return the shortest decimal that is equal to ``value`` in single precision.
 
     USD stores most physical quantities in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425
-    again. The change of the value is smaller than the precision of the USD file.
+    again. Rounding changes a number by less than the precision of the USD file.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
@@ -37,8 +37,8 @@ def rounded(value: float, scale: float | None = None) -> float:
     """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
 
     For example, a limit of -28.64789 degrees is -0.5000000058 rad and becomes -0.5 rad. USD stores most physical
-    quantities in single precision, so the rounding error is that of single precision. The error is relative to
-    ``scale``, such as a vector's length, or by default to ``value``.
+    quantities in single precision, so the rounding error is that of single precision. The rounding error is a share of
+    ``scale``, such as a vector's length; by default, ``scale`` is ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -65,7 +65,7 @@ def vec3(values: Array) -> Vec3:
 
 
 def rotation_matrix(quat: Quat) -> Array:
-    """Return the 3x3 matrix of a quaternion (w, x, y, z), which may have any length."""
+    """Return the 3x3 rotation matrix of a quaternion (w, x, y, z), which may have any length."""
     q = np.asarray(quat, dtype=float)
     w, x, y, z = q / np.linalg.norm(q)
     return np.array(
@@ -107,12 +107,12 @@ class Frame:
 
     @staticmethod
     def identity() -> Frame:
-        """Return the identity frame, without rotation and translation."""
+        """Return the rigid frame without rotation and translation."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
     def of(pose: Pose) -> Frame:
-        """Return the frame of a pose."""
+        """Return the rigid frame with the position and rotation of a pose."""
         return Frame(rotation_matrix(pose.rotation), np.array(pose.position))
 
     def __matmul__(self, other: Frame) -> Frame:
@@ -142,7 +142,7 @@ class Frame:
 def split_scale(linear: Array) -> tuple[Array, Array]:
     """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
 
-    If the map mirrors, the rotation still has determinant 1, and the stretch is negative.
+    If the 3x3 map mirrors, the determinant of the rotation is 1, and the determinant of the stretch is negative.
     """
     # With linear = u diag(values) vt, the rotation is u vt and the stretch is vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
@@ -169,20 +169,20 @@ Z_TO_AXIS = {  # rotation matrices
 
 
 WATER = 1000.0  # kg/m³, the default density
-BARE_MASS, BARE_RADIUS = 1.0, 0.1  # In PhysX, a body without mass and colliders is a 1 kg sphere.
+BARE_MASS, BARE_RADIUS = 1.0, 0.1  # As in PhysX, a body without mass and colliders is a sphere of 1 kg.
 MeshVolume = Literal["convex", "exact", "legacy", "shell"]
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) of density 1 about that centre, in m⁵."""
+    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) about its centre at density 1, in m⁵."""
 
     volume: float
     center: Array
     inertia: Array
 
     def seen_from(self, frame: Frame) -> Solid:
-        """Return the solid in the parent coordinates of ``frame``, which is the solid's own frame."""
+        """Convert the solid from coordinates of ``frame`` to coordinates of the parent of ``frame``."""
         r = frame.rotation
         return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
 
@@ -197,16 +197,16 @@ class Part:
 
     @staticmethod
     def of(solid: Solid, mass: float) -> Part:
-        """Return the part for a solid of uniform density with the total ``mass`` (kg)."""
+        """Return the part of a body that is a solid of uniform density with the total ``mass`` (kg)."""
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
-        """Return the part with the inertia tensor about the point ``center``, by the parallel-axis theorem."""
+        """Return the body part with its inertia tensor about the point ``center``, by the parallel-axis theorem."""
         return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
 
 
 def parallel_axis(mass: float, offset: Array) -> Array:
-    """Return the increase of an inertia tensor (3, 3) if its point moves by ``offset`` (3,) from the centre of mass."""
+    """Return the increase of an inertia tensor (3, 3) about a point at ``offset`` (3,) from the centre of mass."""
     return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
 
 
@@ -229,8 +229,8 @@ def combined_tensor(parts: Sequence[Part], mass: float, center: Array) -> Array:
 def principal(tensor: Array) -> tuple[Vec3, Quat]:
     """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
 
-    Each step of Jacobi's method rotates by at most 45° to make the largest off-diagonal element zero. PhysX also uses
-    Jacobi's method, so PhysX and this function return the moments in equal order.
+    Each step of Jacobi's method rotates the tensor by at most 45° to make its largest off-diagonal element zero. PhysX
+    uses Jacobi's method, so this function returns the moments in PhysX's order.
     """
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
@@ -238,7 +238,7 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
         p, q = max(((1, 2), (0, 2), (0, 1)), key=lambda pair: abs(left[pair]))
         if abs(left[p, q]) <= smallest:
             break
-        # The rotation that makes element (p, q) of a symmetric matrix zero, by the smaller angle.
+        # Rotate by the smaller of the two angles that make element (p, q) of a symmetric matrix zero.
         cot = (left[q, q] - left[p, p]) / (2 * left[p, q])
         tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
         cos = 1 / math.hypot(tan, 1.0)
@@ -253,8 +253,8 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
 def balanced(moments: Vec3) -> Vec3:
     """Return physically possible moments: each positive, and none larger than the sum of the other two.
 
-    MuJoCo refuses impossible moments. A moment below 1e-9 of the largest moment becomes a thousandth of the largest
-    moment. A moment above the sum of the other two moments becomes that sum.
+    MuJoCo refuses impossible moments. A principal moment of inertia below 1e-9 of the largest becomes a thousandth of
+    the largest. A principal moment of inertia above the sum of the other two becomes equal to that sum.
     """
     largest = max(moments)
     values = [value if value > 1e-9 * largest else 1e-3 * largest for value in moments]
@@ -311,10 +311,10 @@ _FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {
 
 
 def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVolume) -> Solid:
-    """Return the solid of a mesh in m from MuJoCo's compiler; raise ValueError if the mesh has no volume.
+    """Return the solid of a mesh with points in m, from MuJoCo's compiler; ValueError if the mesh has no volume.
 
-    ``faces`` (k, 3) are triangles of indices; None means the triangles of the convex hull. ``volume`` is a
-    mesh inertia mode of MuJoCo; with ``shell``, the volume of the solid is an area in m².
+    ``faces`` (k, 3) contains the indices of each triangle's points; None means the triangles of the convex hull.
+    ``volume`` is a mesh inertia mode of MuJoCo; with ``shell``, the volume of the solid is an area in m².
     """
     import mujoco
 
@@ -327,7 +327,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
     body = spec.worldbody.add_body()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
-    # The mesh was scaled to unit size; volume, centre, and inertia scale back by powers of that size.
+    # The mesh was scaled to unit size, so powers of its original size scale its volume, centre, and inertia back.
     model = spec.compile()
     axes = rotation_matrix(tuple(model.body_iquat[1]))
     inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T

@@ -90,9 +90,9 @@ class Geom:
 class Drive:
     """A motor on one degree of freedom.
 
-    ``stiffness`` is in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), and targets in rad (m). ``effort`` is the
-    motor's largest torque in N·m (force in N); None means unlimited. If ``acceleration`` is true, the gains are
-    multiplied by the joint's effective inertia.
+    For a hinge (slide), ``stiffness`` is in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), and a target in rad (m).
+    ``effort`` is the motor's largest torque in N·m (force in N); None means unlimited. If ``acceleration`` is true, the
+    motor's gains are multiplied by the joint's effective inertia.
     """
 
     kind: DriveKind
@@ -108,10 +108,10 @@ class Drive:
 class Dof:
     """One degree of freedom (three for a ball joint) of a body in its parent body, about ``axis`` through ``anchor``.
 
-    Axis and anchor (m) are in the body's frame. ``range`` is in rad (m); None means no limits. ``position`` and
-    ``velocity`` are the saved state of the joint. ``ref`` is the joint coordinate at which the body is at its ``pose``.
-    ``force_range`` in N·m (N) limits the sum of all motors of the joint. MuJoCo has no velocity limit:
-    ``max_velocity``, in rad/s (m/s), is the joint's velocity limit for a controller.
+    The joint's axis and anchor (m) are in the body's frame. ``range`` is the joint's limits, rad (m); None if
+    unlimited. ``position`` and ``velocity`` are the joint's saved state. ``ref`` is the joint coordinate at which the
+    body is at its ``pose``. ``force_range``, N·m (N), limits the total torque (force) of the joint's motors. MuJoCo has
+    no velocity limit: ``max_velocity``, in rad/s (m/s), is the joint's velocity limit for a controller.
     """
 
     name: str
@@ -152,7 +152,7 @@ class Actuator:
 class TendonPoint:
     """A point of a spatial tendon: a site, a geom to wrap around, or a pulley that divides the tendon's length.
 
-    ``name`` is the name of the site or geom; ``side`` names a site on the side of the geom where the tendon must pass.
+    ``name`` is the tendon's site or geom; ``side`` is a site on the side of the geom where the tendon must pass.
     """
 
     kind: Literal["site", "geom", "pulley"]
@@ -165,7 +165,7 @@ class TendonPoint:
 class Tendon:
     """A length: of a path through ``points`` in m, or a sum of ``joints`` coordinates with a factor each.
 
-    ``range`` limits the length. A tendon has either ``points`` or ``joints``; the other tuple is empty.
+    ``range`` limits the length. A tendon has either ``points`` or ``joints``, so one of the two is empty.
     """
 
     name: str
@@ -224,7 +224,7 @@ class Body:
 class Closure:
     """A joint that closes a loop: points on both bodies (None: the world) coincide, or frames are welded.
 
-    A hinge that closes a loop has two pairs of points on its axis.
+    A hinge that closes a loop of bodies is described by two pairs of points on the hinge's axis.
     """
 
     name: str
@@ -246,7 +246,7 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Everything that a simulator needs to know about a robot. ``bodies`` lists parents before their children.
+    """Everything that a simulator needs to know about a robot. ``bodies`` lists each parent body before its children.
 
     ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` contain the
     attributes of the MJCF elements ``option``, ``flag``, and ``compiler``.
@@ -309,7 +309,7 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # Each round prepends one more parent's name to each name that is not yet unique, so unique names stay short.
+    # Each round adds the name of one parent to each name that is not yet unique, so unique names stay short.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]

@@ -1,7 +1,7 @@
 """The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
 
-``doctor`` inspects the robot of a task, or a robot file. A robot file is inspected on level ground, with the pose,
-drives, and limits of the file. For a task, ``doctor`` also simulates a short trial with random actions.
+``doctor`` inspects the robot of a task, or a robot file. ``doctor`` inspects a robot file on level ground, with the
+pose, drives, and limits of the file. For a task, ``doctor`` also simulates a short trial with random actions.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ENVS, _SECONDS = 32, 2.0
 def random_rewards(composed: Composed) -> Mapping[str, float]:
     """Return each reward term's mean reward per second under standard normal actions, by name.
 
-    The means are measured in a simulation of two seconds in 32 environments. The config must be free of mistakes.
+    The mean rewards are measured in a simulation of two seconds in 32 environments. The config must have no errors.
     """
     config = copy.deepcopy(composed.config)
     config["env"]["num_envs"] = _ENVS
@@ -55,7 +55,7 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
 
 Drives = Mapping[str, robots.Drive | None]
 _MJCF = (".xml", ".mjcf")
-_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means unlimited.
+_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means that the joint is unlimited.
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
@@ -88,7 +88,7 @@ def _file_case(
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
     lowest = lowest_point(model, robots.at_default(model, scene.robot), bodies)
-    # Put the robot on the ground, because a robot file contains no spawn height.
+    # Put the robot on the ground, because a robot file contains no start height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
     driven = conversion.description.driven if conversion else list(drives)
@@ -126,7 +126,7 @@ def _model(source: Path) -> mujoco.MjModel:
 
 
 def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
-    """Return an ``env.robot`` section for an MJCF file. The pose is the first keyframe, or the zero pose."""
+    """Return an ``env.robot`` section for an MJCF file. The pose is the MJCF's first keyframe, or the zero pose."""
     qpos = model.key_qpos[0] if model.nkey else model.qpos0
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     scalar = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
@@ -173,7 +173,7 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# The rules in order of urgency. Findings of a later rule are unreliable until findings of earlier rules are fixed.
+# The lint rules, most urgent first: findings of a rule are unreliable until the findings of earlier rules are fixed.
 OF_ROBOT = (
     "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
     "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",
@@ -192,7 +192,7 @@ OF_TASK = (
 class Diagnosis:
     """The diagnosis of one robot: the findings, most urgent first, and facts worth knowing.
 
-    ``silenced`` contains the findings that the task accepts, with the reasons from the task's config.
+    ``silenced`` contains the findings that the task accepts, with the reasons that the task's config gives.
     """
 
     subject: str
@@ -203,7 +203,7 @@ class Diagnosis:
 
     @property
     def first(self) -> str:
-        """Return the most urgent finding on one line."""
+        """Return the diagnosis's most urgent finding as one line of text."""
         if not self.findings:
             return f"{self.subject}: nothing to fix"
         finding = self.findings[0]
@@ -235,7 +235,7 @@ def diagnose_file(source: Path) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must be free of mistakes."""
+    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must have no errors."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]

@@ -28,7 +28,7 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 class PhysicsReport:
     """The findings of ``check --physics`` about one config.
 
-    ``reasons`` maps each silenced rule to the reason in ``check.silence``.
+    ``reasons`` maps each silenced lint rule to the reason that ``check.silence`` in the config gives.
     """
 
     case: Case
@@ -37,17 +37,17 @@ class PhysicsReport:
 
     @property
     def open(self) -> list[Finding]:
-        """The findings of all rules that ``check.silence`` does not contain."""
+        """The findings of all lint rules that ``check.silence`` in the config does not contain."""
         return [finding for finding in self.findings if finding.rule not in self.reasons]
 
     @property
     def silenced(self) -> list[Finding]:
-        """The findings of all rules that ``check.silence`` contains."""
+        """The findings of all lint rules that ``check.silence`` in the config contains."""
         return [finding for finding in self.findings if finding.rule in self.reasons]
 
     @property
     def unused(self) -> list[str]:
-        """The rules in ``check.silence`` that report no finding."""
+        """The lint rules that ``check.silence`` in the config contains but that report no finding."""
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 
@@ -62,7 +62,7 @@ class PhysicsReport:
         return [_reward_row(self.case, item, best) for item in found]
 
     def document(self) -> dict[str, Any]:
-        """Return the report as a mapping for JSON."""
+        """Return the findings of ``check --physics`` as a mapping for JSON."""
         return {
             "findings": [asdict(finding) for finding in self.open],
             "silenced": [{**asdict(finding), "reason": self.reasons[finding.rule]} for finding in self.silenced],
@@ -73,7 +73,7 @@ class PhysicsReport:
 
 
 def examine(composed: Composed) -> PhysicsReport:
-    """Compile and measure the robot of a config, and run every rule. The config must be free of mistakes."""
+    """Compile and measure the robot of a config, and run every lint rule. The config must have no errors."""
     with composed.placing():
         robot, facts = task_robot(composed)
         case = Case(composed.config, facts, robot)
@@ -85,9 +85,9 @@ def examine(composed: Composed) -> PhysicsReport:
 
 
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a config, compiled like for a training, and the measured facts about the robot."""
+    """Return the robot of a config, compiled as in a training, and the measured facts about the robot."""
     env = composed.config["env"]
-    # The check measures the compiled model and simulates no steps.
+    # ``check --physics`` measures the compiled model and simulates no steps.
     env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene

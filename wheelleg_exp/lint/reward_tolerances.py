@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # The tolerance of a reward term is this share of the height, speed, effort, or command.
-ACTION = 0.5  # The tolerance for the change of a raw action.
+SHARE = 0.1  # A reward term tolerates an error of this share of the robot's height, speed, effort, or command.
+ACTION = 0.5  # A reward term tolerates this change of a raw action.
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -25,11 +25,11 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The reward from one term for a robot whose error equals the tolerance of the term.
+    """The reward that one term gives for a robot whose error equals the tolerance of the term.
 
-    ``value`` is the unweighted value of the term for an error equal to the tolerance; None if unknown. ``cost`` is the
-    difference between the term's value for a perfect robot and ``value``. A reward term with ``once`` is given once per
-    episode instead of at each control step.
+    ``value`` is the unweighted value of the reward term for an error equal to the tolerance; None if unknown. ``cost``
+    is the reward term's value for a robot without error, minus ``value``. If ``once`` is true, the reward is given once
+    per episode instead of at each control step.
     """
 
     term: TermView
@@ -41,7 +41,7 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The unweighted value of the term for a robot without any error."""
+        """The value, without weight, of the reward term for a robot without any error."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
@@ -49,12 +49,12 @@ class Contribution:
         return self.weight * (self.value or 0.0) * step_dt
 
     def per_episode(self, case: Case) -> float:
-        """Return the reward that the term gives in a whole episode."""
+        """Return the reward that this term gives in a whole episode."""
         return self.per_step(case.step_dt) * (1 if self.once else case.episode_steps)
 
 
 def contributions(case: Case) -> list[Contribution]:
-    """Return every reward term's contribution to the return, at the tolerance of the term."""
+    """Return the reward that each term gives for an error equal to its tolerance."""
     return [_contribution(case, term) for term in case.terms("rewards")]
 
 
@@ -94,7 +94,7 @@ def _bell(error: float, term: TermView) -> float:
 
 
 def command_size(case: Case, term: TermView) -> float:
-    """Return the largest command of a tracking term, m/s or rad/s."""
+    """Return the largest command that a reward term tracks, m/s or rad/s."""
     command = case.env["commands"].get(str(term.node["command_name"]), {})
     ranges = command.get("ranges") if isinstance(command, Mapping) else None
     axes = ("lin_vel_x", "lin_vel_y") if TRACKING[term.kind] == "lin" else ("ang_vel_z",)
@@ -150,7 +150,7 @@ def _travel(case: Case, term: TermView) -> tuple[str, float]:
     return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 
-# The value of these reward terms is exp(-error² / std²).
+# reward terms whose value is exp(-error² / std²)
 _KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.base_height_exp": _height,
     "rewards.flat_orientation_exp": _tilt,

@@ -1,4 +1,4 @@
-"""The config that a lint rule inspects, the rule's findings, the registry of rules, and the rounding of advice."""
+"""The config that a lint rule inspects, the rule's findings, the registry of rules, and rounding of advised values."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LIBRARY = "wheelleg_exp.mdp."
 class TermView:
     """A term of the config.
 
-    ``kind`` is the target's name below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. An alias has the ``kind`` of
-    the original target. For a target of another package, ``kind`` is the target's full name.
+    ``kind`` is the name of the term's target below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. The alias of a
+    target has the ``kind`` of the original target. For a target of another package, ``kind`` is the target's full name.
     """
 
     name: str
@@ -36,8 +36,8 @@ class TermView:
 class Case:
     """A config without mistakes, and the robot of the config.
 
-    ``robot`` is None if only the facts about the robot are known. ``trial`` maps each reward term to its mean reward
-    per second under random actions; None without a simulation.
+    ``robot`` is None if only the measured facts about the robot are known, not its model. ``trial`` maps each reward
+    term to its mean reward per second in a simulation with random actions; None without it.
     """
 
     config: Mapping[str, Any]
@@ -78,7 +78,7 @@ class Case:
         return math.ceil(round(self.episode_s / self.step_dt, 9))
 
     def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
-        """Yield the terms of a config section; if ``kinds`` is given, yield only terms with one of these targets."""
+        """Yield the terms of a config section; if ``kinds`` is given, yield only terms whose target is in ``kinds``."""
         for found, path, node in term_nodes(self.config):
             if found != section:
                 continue
@@ -97,7 +97,7 @@ class Case:
         return {joint: joints[joint] for joint in found}
 
     def by_joint(self, values: Any, names: Sequence[str], default: Any) -> dict[str, Any]:
-        """Return the value of each joint, from one value or from a mapping of joint expressions to values."""
+        """Return a value for each joint, from one value or from a mapping of joint expressions to values."""
         spread = values_by_name(values, list(names), default, key="values", what="joint")
         return dict(zip(names, spread, strict=True))
 
@@ -120,8 +120,8 @@ def largest(pair: Any) -> float:
 class Finding:
     """One implausible number in a config, with the problem and what to do.
 
-    ``figures`` are in SI units. ``advice`` contains alternative mappings from config keys to values. Each mapping
-    removes the finding. ``where`` is the file and line, or the override, that set the config key.
+    ``figures`` are in SI units. ``advice`` contains alternative solutions, each a mapping from config keys to values.
+    Each mapping removes the finding. ``where`` is the file and line, or the override, that set the config key.
     """
 
     key: str
@@ -138,7 +138,7 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A rule takes a case, or a case and a robot. A rule that takes a robot is skipped if the case has no robot.
+# A lint rule takes a case, or a case and a robot; a rule with a robot is skipped if the case has no robot.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 
@@ -167,7 +167,7 @@ def rule(function: RuleFunction) -> RuleFunction:
     name = function.__name__
     if name not in PHYSICS_RULES:
         raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
-    text = inspect.getdoc(function) or name.replace("_", " ")  # Python with -OO has no docstrings.
+    text = inspect.getdoc(function) or name.replace("_", " ")  # Python with -OO removes all docstrings.
     takes_robot = len(inspect.signature(function).parameters) == 2
     RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function, takes_robot)
     return function
@@ -177,7 +177,7 @@ DIGITS = 2
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """Return a text with the first ``most`` names in quotes, and the number of remaining names."""
+    """Return a text with the first ``most`` of the names in quotes, and the number of omitted names."""
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 

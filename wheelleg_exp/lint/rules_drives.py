@@ -10,7 +10,7 @@ from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
 _ARMATURE = 10.0  # The largest plausible ratio of a joint's armature to the inertia of the joint's load.
 _TRACTION = 10.0  # The largest plausible ratio of a wheel's effort limit to the torque at which the wheel slips.
-_PUSH = 0.1  # The wheels must push with at least this share of the robot's weight.
+_PUSH = 0.1  # The wheels must push the robot with at least this share of its weight.
 _RESERVE = 1.5  # The smallest accepted ratio of a drive's effort limit to the torque that holds the default pose.
 _SAG = 0.1  # The largest accepted position error of a leg joint that carries the robot's weight, rad.
 _SAMPLES = 5.0  # The time constant of a robot's fall must contain this many control steps.
@@ -100,8 +100,8 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
     """The wheel drives are too weak or too slow to balance a robot on one axle.
 
     Wheels catch a lean if they accelerate with g times its angle: with a force below a tenth of the weight they cannot
-    catch 0.1 rad. The wheels' rims must also be faster than 0.1 rad times the height of the mass times the rate of the
-    fall. Source: the inverted pendulum on wheels.
+    catch 0.1 rad. The top speed of the wheels' rims must exceed 0.1 rad · h · p for a mass at height h that falls at
+    rate p. Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -136,9 +136,9 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
 def effort_against_load(case: Case) -> Iterator[Finding]:
     """A leg drive cannot carry the robot's weight, or sags under the weight.
 
-    At rest a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The effort
-    limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must hold the
-    joint within 0.1 rad of the joint's target at an action of 0: the error is gravity's torque over kp, minus the
+    At rest, a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The
+    effort limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must
+    hold the joint within 0.1 rad of its target at an action of 0: the error is gravity's torque over kp, minus the
     action's offset. The rule ignores joints of closed loops, because several joints of a loop share the load. Source:
     statics, tau = -J^T F.
     """
@@ -155,7 +155,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        # The difference between the target at an action of 0 and the default position of each joint, rad.
+        # The difference between each joint's target at an action of 0 and its default position, rad.
         shifts: dict[str, float] = {}
         for term in case.terms("actions", "actions.JointPositionAction"):
             if not term.node.get("use_default_offset", True):
@@ -183,11 +183,11 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 
 @rule
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
-    """The gains of a drive are unstable with the physics time step.
+    """The gains of a drive make the simulation unstable with the physics time step of the config.
 
-    Let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the state before the step, is
-    stable for a < 2 and b < 4 - 2a. An implicitly damped drive is stable for b < 4 + 2a. I is the inertia, including
-    the armature, that a torque accelerates while all other joints are free. Source: Jury's criterion on semi-implicit
+    For the gains kp and kd, let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the
+    state before the step, is stable for a < 2 and b < 4 - 2a. A drive with implicit damping is stable for b below 4 +
+    2a. I is the inertia of the joint, with armature, if all joints can move. Source: Jury's criterion on semi-implicit
     Euler; MuJoCo documentation, Computation, "Numerical integration".
     """
     dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
@@ -212,9 +212,9 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
 def control_rate(case: Case) -> Iterator[Finding]:
     """The control rate is too low to balance the robot.
 
-    The tilt of a falling pendulum with rate p grows by a factor e in the time 1/p. A sampled controller acts one and a
-    half control steps late on average, and that delay times p should be below a third: about five control steps in 1/p.
-    Source: Åström, "Limitations on control system performance", 2000, on delay with an unstable pole.
+    The tilt of a pendulum that falls at the rate p grows by the factor e in the time 1/p. A sampled controller acts one
+    and a half control steps late on average, and that delay times p should be below a third: about five control steps
+    in 1/p. Source: Åström, "Limitations on control system performance", 2000, on delay with an unstable pole.
     """
     balance = case.facts.balance
     if balance is None:
@@ -238,9 +238,9 @@ def control_rate(case: Case) -> Iterator[Finding]:
 def drive_bandwidth(case: Case) -> Iterator[Finding]:
     """The bandwidth of a drive is too low to balance the robot.
 
-    The bandwidth of a position drive is sqrt(kp/I), and the bandwidth of a velocity drive is kd/I. A leg needs at least
-    the rate of the fall as bandwidth, and a wheel needs twice the rate of the fall. Source: the closed-loop poles of a
-    PD drive on a free inertia.
+    The bandwidth of a position drive is sqrt(kp/I), and the bandwidth of a velocity drive is kd/I. The bandwidth must
+    be at least the rate of the robot's fall for a leg drive, and twice this rate for a wheel drive. Source: the
+    closed-loop poles of a PD drive on a free inertia.
     """
     balance = case.facts.balance
     if balance is None:

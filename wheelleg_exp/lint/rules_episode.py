@@ -20,12 +20,12 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-_FIXED = ("resampling_time_range", "restitution_range")  # These ranges can have equal ends.
+_FIXED = ("resampling_time_range", "restitution_range")  # A random range with one of these names can have equal ends.
 
 
 @rule
 def noop_joint_reset(case: Case) -> Iterator[Finding]:
-    """A reset event scales a default value of zero.
+    """A reset event scales a default joint position or velocity of zero.
 
     The event sets a joint to its default times a random factor: a default of 0 stays 0. Source: Isaac Lab 2.3.2,
     ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
@@ -51,10 +51,10 @@ def noop_joint_reset(case: Case) -> Iterator[Finding]:
 
 @rule
 def zero_width_range(case: Case) -> Iterator[Finding]:
-    """The two ends of a random range are equal, so that every random value is equal.
+    """The two ends of a random range are equal, so all random values are equal.
 
-    If a term has a range for each axis, the two ends of at least one range must differ. If a command never changes, the
-    observation of the command is constant, and a policy cannot learn from a constant. Source: arithmetic.
+    If a config term has a range for each axis, the two ends of at least one range must differ. If a command never
+    changes, a policy cannot learn anything from the constant observation of the command. Source: arithmetic.
     """
     for term in (*case.terms("events"), *case.terms("commands")):
         for name, value in term.node.items():
@@ -82,8 +82,8 @@ def _has_width(value: Any) -> bool:
 def event_never_fires(case: Case) -> Iterator[Finding]:
     """The interval of an interval event is longer than an episode.
 
-    Every reset draws a new interval for the environment, so an interval of at least an episode's length never ends.
-    Source: Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
+    Every reset draws a new interval for the event, so an interval that is longer than an episode never ends. Source:
+    Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
     """
     for term in case.terms("events"):
         if term.node.get("mode") != "interval" or term.node.get("is_global_time", False):
@@ -103,7 +103,7 @@ def event_never_fires(case: Case) -> Iterator[Finding]:
 
 @rule
 def cumulative_randomisation(case: Case) -> Iterator[Finding]:
-    """The centre of mass drifts away, because each random offset is added to the previous offset.
+    """The centre of mass drifts away, because an event adds each random offset to the previous offset.
 
     The sum of n uniform offsets from a range of half-width d has a standard deviation of d sqrt(n / 3). Source: Isaac
     Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
@@ -125,7 +125,7 @@ def cumulative_randomisation(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_restitution(case: Case) -> Iterator[Finding]:
-    """An event randomises the restitution, which has no effect.
+    """An event randomises the restitution of contacts, which has no effect.
 
     MuJoCo's soft contacts have no coefficient of restitution. Source: MuJoCo documentation, Computation, "Contact".
     """
@@ -138,7 +138,7 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
             yield Finding(key, message, hint, {"low": low, "high": high}, ({key: [0.0, 0.0]},))
 
 
-_MARGIN = 1.2  # A good policy survives slightly larger pushes than the pendulum model predicts.
+_MARGIN = 1.2  # A good policy survives slightly larger pushes than the model of an inverted pendulum predicts.
 _WEAK = 0.2  # Pushes below this share of the largest push do not test a policy.
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
@@ -149,15 +149,15 @@ def push_size(case: Case) -> Iterator[Finding]:
     """A push event is too strong for any policy, or too weak to test a policy.
 
     The largest push that wheels can catch is a/w: their acceleration, limited by friction or by the drive, over the
-    rate of the pendulum. With pushes far above a/w every robot falls, and pushes below a fifth of a/w do not test the
+    rate of the pendulum. Pushes far above a/w make every robot fall, and pushes below a fifth of a/w do not test the
     policy. Sideways pushes in the robot's own axes are not checked: wheels cannot catch them, and the track must hold
-    the robot. The rule checks pushes along the world's y axis, because the robot can turn. Source: Pratt et al.,
-    "Capture point: a step toward humanoid push recovery", 2006.
+    the robot. Pushes along the world's y axis are checked, because the robot can turn. Source: Pratt et al., "Capture
+    point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
         return
-    # The largest push after which the wheels can still balance the robot is a/w, in m/s.
+    # The largest push after which the wheels can balance the robot is a/w, in m/s.
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
     spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
@@ -179,7 +179,7 @@ def push_size(case: Case) -> Iterator[Finding]:
 
 @rule
 def wrench_size(case: Case) -> Iterator[Finding]:
-    """A permanent force or torque on the robot tilts the robot too far.
+    """A permanent random force or torque tilts the robot too far.
 
     A force F at the body tilts a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
     episode. Source: statics of the inverted pendulum.
@@ -204,13 +204,13 @@ def wrench_size(case: Case) -> Iterator[Finding]:
             )
 
 
-_DROP = 0.1  # The allowed height above the ground at the start, as a share of the standing height.
-_GROUND = 1e-4  # A start at most this deep inside the ground is accepted, because contacts are soft, m.
-_HEIGHT = 0.05  # The rewarded height may differ from the standing height by this share of the standing height.
+_DROP = 0.1  # The largest accepted height of a start pose above the ground, as a share of the robot's standing height.
+_GROUND = 1e-4  # A start pose at most this deep (m) inside the ground is accepted, because contacts are soft.
+_HEIGHT = 0.05  # The rewarded height may differ from the robot's standing height by this share of the standing height.
 _FALLS = 5.0  # The shortest useful episode, in time constants of the fall.
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
-# The parameter threshold of these reward terms is a time in seconds and not a force.
+# reward terms whose parameter ``threshold`` is a time in seconds and not a force
 _TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")
 _ON_WHEELS = (
     "rewards.no_contact_count",
@@ -225,9 +225,9 @@ _ON_WHEELS = (
 def spawn_height(case: Case) -> Iterator[Finding]:
     """The robot starts inside the ground, or far above the ground.
 
-    The rule computes the lowest point of the default pose from the colliding shapes. If the robot starts inside the
-    ground, the contact force throws it. If the robot starts at a height h above the ground, it lands at the speed
-    sqrt(2 g h). Source: kinematics.
+    The rule computes the lowest point of the default pose from the colliding shapes. If a robot starts inside the
+    ground, the contact force throws the robot into the air. A robot that starts at a height h above the ground lands at
+    the speed sqrt(2 g h). Source: kinematics.
     """
     facts = case.facts
     clearance, limit = facts.clearance, _DROP * facts.standing_height
@@ -250,8 +250,8 @@ def spawn_height(case: Case) -> Iterator[Finding]:
 def target_height(case: Case) -> Iterator[Finding]:
     """The rewarded height differs from the robot's height in the default pose.
 
-    The policy would have to leave the default pose, which is the reference of the actions and of other rewards. Source:
-    kinematics of the default pose.
+    To reach the rewarded height, the policy must leave the default pose, to which actions and many rewards refer.
+    Source: kinematics of the default pose.
     """
     standing = case.facts.standing_height
     for term in case.terms("rewards", *HEIGHTS):
@@ -289,7 +289,7 @@ def contact_threshold(case: Case) -> Iterator[Finding]:
 
 @rule
 def episode_end(case: Case) -> Iterator[Finding]:
-    """Episodes have no time-out, end at once, or are too short for a fall.
+    """Training episodes have no time-out, end at once, or are too short for a fall.
 
     Without a time-out termination, the critic does not bootstrap the rewards after the end of an episode. If the start
     state exceeds the limit of a termination, every episode ends in its first step. A robot that falls with a time
@@ -340,10 +340,10 @@ _DEPTH = 0.01  # Soft contacts correct an overlap below this share of the robot'
 
 @rule
 def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A random start state puts the robot's lowest point inside the ground.
+    """A random start state can put the robot's lowest point inside the ground.
 
-    The rule tests all combinations of the extreme heights, rolls, pitches, and joint positions. The contact force on a
-    robot inside the ground throws the robot. Source: kinematics.
+    The rule tests all combinations of the extreme start heights, rolls, pitches, and joint positions. If a robot starts
+    inside the ground, the contact force throws the robot into the air. Source: kinematics.
     """
     if not robot.anatomy.floating:
         return
@@ -354,7 +354,7 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # The rule spawn_height reports this depth inside the ground.
+        start = -case.facts.clearance  # The lint rule spawn_height reports a start at this depth inside the ground.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)
@@ -383,7 +383,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # Reset events also use fixed axes.
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # Reset events rotate about fixed axes.
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat

@@ -13,7 +13,7 @@ from wheelleg_exp.terms.term_binding import TARGET
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
 _ABSOLUTE = "actions.JointPositionAction"
 _VELOCITY = ("actions.JointVelocityAction",)
-_TINY = 0.01  # An action of 1 should move a joint by at least this share of the joint's range.
+_TINY = 0.01  # An action of 1 should move the joint by at least this share of the joint's range.
 
 
 @rule
@@ -39,11 +39,11 @@ def action_scale(case: Case) -> Iterator[Finding]:
                 hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
                 advice = () if scale is None else ({key: scale},)
                 yield Finding(key, f"'{name}': {message}", hint, figures, advice)
-                break  # Report only one joint of each action term.
+                break  # The rule reports only one joint of each action term.
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return the problem of an action's scale, the hint (empty if a new scale solves the problem), and the figures."""
+    """Return what is wrong with an action's scale, a hint (empty if a new scale is the solution), and the figures."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -72,7 +72,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the action scale nearest to ``unit`` that suits every joint of a term; None without such a scale."""
+    """Return the action scale nearest to ``unit`` that suits every joint of an action term; None if no scale does."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -93,9 +93,9 @@ def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> floa
 def action_clip_never_acts(case: Case) -> Iterator[Finding]:
     """The bounds of an action's target are outside the range of the joint or drive.
 
-    The parameter ``clip`` bounds the target in rad or rad/s instead of the raw action. Bounds outside the joint's
-    limits or the drive's speed have no effect. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``:
-    scale, offset, then clip.
+    The parameter ``clip`` of an action bounds the joint's target in rad or rad/s, not the raw action. Bounds of a
+    target beyond the joint's limits or the drive's speed have no effect. Source: Isaac Lab 2.3.2,
+    ``isaaclab/envs/mdp/actions/joint_actions.py``: scale, offset, then clip.
     """
     for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
         joints = case.joints(term.node)
@@ -126,11 +126,11 @@ def _idle(term: TermView, joint: Joint, clip: Any) -> bool:
 
 @rule
 def command_reach(case: Case) -> Iterator[Finding]:
-    """The wheels cannot reach a commanded velocity.
+    """The robot's wheels cannot produce a commanded velocity.
 
-    The top speed is the drive's speed limit times the wheel radius. The top yaw rate is twice the top speed divided by
-    the track width. A robot with wheels on parallel axles cannot move sideways. Source: kinematics of a differential
-    drive.
+    The robot's top speed is the speed limit of the wheel drives times the wheel radius. The robot's top yaw rate is
+    twice its top speed divided by the track width. A robot with wheels on parallel axles cannot move sideways. Source:
+    kinematics of a differential drive.
     """
     facts = case.facts
     if not facts.wheels or facts.top_speed == 0.0:
@@ -151,7 +151,7 @@ def command_reach(case: Case) -> Iterator[Finding]:
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
 _SMALLEST, _LARGEST = 0.01, 10.0  # The useful range of the size of a network's inputs.
 _LOUD = 0.5  # Observation noise above this share of the signal's size hides the signal.
-# The parameters for the size of noise, which are half-widths or a standard deviation, with their defaults.
+# The parameters that set the size of noise (half-widths or a standard deviation), with their defaults.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
 
@@ -159,8 +159,8 @@ _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianN
 def unbounded_observation(case: Case) -> Iterator[Finding]:
     """The policy observes an unbounded angle, such as the angle of a wheel.
 
-    In training, an unlimited joint turns at most at its top speed for one episode. A longer run leads to angles outside
-    the training data. Source: arithmetic; several public wheel-legged projects omit wheel angles for this reason.
+    In training, an unlimited joint turns at most at its top speed for one episode; longer runs lead to larger angles.
+    Source: arithmetic; several public wheel-legged projects omit wheel angles for this reason.
     """
     for term in case.terms("observations", *_ANGLES):
         endless = {name: joint for name, joint in case.joints(term.node).items() if not joint.limited}
@@ -179,10 +179,10 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or much smaller than 1.
 
-    The initial weights of networks are chosen for inputs of size 1. The largest value of each component should be
-    between 0.01 and 10. This value follows from the robot's limits and the config's ranges. The rule ignores an actor
-    or critic that normalises its inputs. Source: Andrychowicz et al., "What matters in on-policy reinforcement
-    learning?", 2021, on input normalisation.
+    The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation
+    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The
+    rule ignores a network that normalises its inputs. Source: Andrychowicz et al., "What matters in on-policy
+    reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]

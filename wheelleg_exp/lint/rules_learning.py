@@ -25,11 +25,11 @@ def still_score(speed: float, std: float) -> float:
 
 @rule
 def tracking_std(case: Case) -> Iterator[Finding]:
-    """A tracking reward is so tolerant that a robot that ignores the command earns most of the reward.
+    """A tracking reward is so tolerant that a robot earns most of it without following the command.
 
     For commands uniform in ±V, a robot that stands still earns the share sqrt(pi)/2 · erf(V/std) · std/V of the reward.
-    The share excludes commands that are exactly zero. If all commands are zero, a robot that drifts with a wheel action
-    of 1 must not earn the reward. Source: the integral of the reward's own formula.
+    This share of the reward does not count commands that are exactly zero. If all commands are zero, a robot that
+    drifts with a wheel action of 1 must not earn the reward. Source: the integral of the reward's own formula.
     """
     for term in tolerances.tracked(case):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
@@ -42,9 +42,9 @@ def tracking_std(case: Case) -> Iterator[Finding]:
 def reward_outweighs(case: Case) -> Iterator[Finding]:
     """Under random actions, as at the start of training, one negative reward is larger than all positive rewards.
 
-    The policy first learns to reduce this negative reward, for example by a fall that ends the episode. Only `wheelleg
-    doctor task=…` simulates random actions. Source: the mean of each term over two seconds of standard normal actions
-    in 32 environments.
+    The policy first learns to avoid the largest negative reward, for example by a fall that ends the episode. Only
+    `wheelleg doctor task=…` simulates random actions. Source: the mean of each term over two seconds of standard normal
+    actions in 32 environments.
     """
     trial = case.trial or {}
     earned = sum(value for value in trial.values() if value > 0.0)
@@ -77,7 +77,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
 
 def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
     kind = tolerances.TRACKING[term.kind]
-    # The speed at one unit of wheel action, m/s; a tenth of the top speed without such an action.
+    # The robot's speed at a wheel action of 1, m/s; a tenth of the top speed for a robot without wheel actions.
     drift = 0.1 * case.facts.top_speed
     for action in case.terms("actions", "actions.JointVelocityAction"):
         scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
@@ -107,8 +107,8 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
     """An error equal to the tolerance of a reward term costs almost no reward.
 
     Reward weights are multiplied by the control time step, so the size of a weight alone is meaningless. If an error
-    equal to the tolerance costs less than 1 % of a perfect robot's reward, the noise of the return hides the term.
-    Source: Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
+    equal to the tolerance costs less than 1 % of a perfect robot's reward, the noise of the return hides it. Source:
+    Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
     found = tolerances.contributions(case)
     best = tolerances.earned_per_second(found)
@@ -128,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest weight at which a term's error costs enough; None if a larger weight only adds reward."""
+    """Return the smallest weight at which the error of a reward term costs enough; None if no weight does that."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -139,9 +139,9 @@ def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
 def falling_pays(case: Case) -> Iterator[Finding]:
     """The robot earns more if it falls than if it continues the episode.
 
-    The value of continuing is the sum of all reward terms at their tolerances. The sum covers the episode or the
-    discount's horizon 1/(1 - gamma), whichever is shorter. If the value of continuing is below the reward for a
-    failure, the policy learns to fall at once. Source: the discounted return of PPO, Schulman et al. 2017.
+    The value of continuing an episode is the sum of all reward terms at their tolerances, over the episode or the
+    discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an episode is worth less than a failure, the
+    policy learns to fall at once. Source: the discounted return of PPO, Schulman et al. 2017.
     """
     found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
@@ -166,9 +166,9 @@ def horizon_steps(case: Case) -> float:
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # The relative tolerance for rounding errors in 1 - gamma.
+_DUST = 1e-9  # The relative tolerance for rounding errors in the difference 1 - gamma.
 _FALLS = 5.0  # The discount should cover this many time constants of the fall.
-_EARLY = 0.25  # The first iterations may have at most this share in the mean of the policy's weights.
+_EARLY = 0.25  # The first training iterations may have at most this share in the mean of the policy's weights.
 
 
 @rule
@@ -192,8 +192,8 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
     """The horizon of the discount is longer than an episode, or shorter than a fall.
 
     The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
-    longer than the episode, the agent optimises rewards that it cannot receive. If the horizon is below about five time
-    constants of the fall, the agent does not see the effect of its actions. Source: the discounted return.
+    longer than the episode, the agent optimises rewards that it cannot receive. A discount horizon below about five
+    time constants of the fall hides the effect of an action from the agent. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -227,9 +227,9 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 def late_average(case: Case) -> Iterator[Finding]:
     """The mean of the policy's weights depends too much on the start of the training.
 
-    During the first n iterations, the mean m covers all iterations. Later, each iteration updates the mean by m += (w -
-    m) / n. After i iterations, the first n iterations still have the share (1 - 1/n)^(i - n) in the mean, although
-    their weights are random or those of ``init_from``. Source: the weights of an exponential mean.
+    In the first n iterations, the mean m of the weights w covers all iterations; after that, each iteration updates the
+    mean by m += (w - m) / n. After i iterations, the first n iterations have the share (1 - 1/n)^(i - n) in the mean,
+    although their weights are random or those of ``init_from``. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
@@ -245,9 +245,9 @@ def late_average(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_curriculum(case: Case) -> Iterator[Finding]:
-    """A curriculum changes a reward's weight without effect, or after the end of training.
+    """A curriculum term changes a reward's weight to the same value, or only after the end of the training.
 
-    The weight changes when the counter of control steps exceeds ``num_steps``. A training has max_iterations ·
+    The reward's weight changes when the number of control steps exceeds ``num_steps``. A training has max_iterations ·
     num_steps_per_env control steps. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
     """
     total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
@@ -269,8 +269,8 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
 def levels_out_of_reach(case: Case) -> Iterator[Finding]:
     """No robot can reach the higher terrain levels.
 
-    A robot goes a level up if it ends an episode more than half a tile away from its start. In an episode of length T,
-    a robot with the largest velocity command v moves by v T. Source: Isaac Lab 2.3.2,
+    A robot moves to the next terrain level if it ends an episode more than half a terrain tile from its start. In an
+    episode of length T, a robot with the largest velocity command v moves by the distance v T. Source: Isaac Lab 2.3.2,
     ``isaaclab_tasks/manager_based/locomotion/velocity/mdp/curriculums.py``, ``terrain_levels_vel``.
     """
     for term in case.terms("curriculum", "curriculums.terrain_levels_vel"):

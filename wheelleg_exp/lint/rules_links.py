@@ -17,24 +17,24 @@ from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # The rule reports a robot if the share of assumed mass exceeds this value.
-_WEIGHTY = 0.01  # The inertia of links below this share of the robot's mass is irrelevant.
+_ASSUMED = 0.05  # The rule reports a robot if the converter assumed more than this share of the robot's mass.
+_WEIGHTY = 0.01  # The inertia of a link below this share of the robot's mass is irrelevant.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
-    """Return the conversion report's findings of one kind; empty if the robot was not converted."""
+    """Return the conversion report's findings of one kind, or no findings if the robot was not converted."""
     report = case.robot.report if case.robot is not None else None
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
 
 @rule
 def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The files of colliders or USD layers are missing or damaged.
+    """Files of colliders or USD layers of the robot are missing or damaged.
 
-    The file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing, the
-    wheel's joint is treated as a leg joint. The rule ignores missing files of visuals. Source: the conversion report.
+    The mesh file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing,
+    the wheel's joint counts as a leg joint. The rule ignores missing files of visuals. Source: the conversion report.
     """
     report = robot.report
     if report is None:
@@ -61,7 +61,7 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def assumed_masses(case: Case) -> Iterator[Finding]:
-    """The robot file lacks masses or inertias, so that the converter assumed values.
+    """The robot file lacks masses or inertias, so the converter assumed values for them.
 
     An assumed mass is a volume times a density, or 1 kg, so the robot's dynamics are inaccurate. Source: the conversion
     report.
@@ -83,7 +83,7 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 @rule
 def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The model lacks colliders, limits, couplings, or drives of the robot file, or their values differ from the file.
+    """The MuJoCo model lacks or changes colliders, limits, couplings, or drives of the robot file.
 
     Source: the warnings of the conversion report.
     """
@@ -95,7 +95,7 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         yield Finding(_ASSET, shown, hint, {"lost": float(len(lost))})
 
 
-_LIGHT = 2.0  # The smallest plausible density, kg/m³, of a robot in a cube with the robot's length as edge.
+_LIGHT = 2.0  # The smallest plausible ratio of a robot's mass to the cube of its length, kg/m³.
 _WIDE = 1.5  # The largest possible ratio of a link's radius of gyration to its extent.
 _NARROW = 0.03  # The smallest plausible ratio of a link's radius of gyration to its extent.
 _OUTSIDE = 0.5  # A centre of mass may lie outside the shapes by this share of the link's extent.
@@ -121,9 +121,9 @@ def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def link_masses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The mass or inertia of a link is implausible for the size of the link.
 
-    A link's radius of gyration sqrt(I / m) is between a thirtieth of the link's extent and the extent itself. The
-    extent is measured from the link's centre of mass. The centre of mass of a link is inside or near the link's shapes.
-    No principal moment of inertia exceeds the sum of the other two moments. Source: mechanics of rigid bodies.
+    A real link's radius of gyration sqrt(I / m) is 1/30 to 1 of the link's extent, measured from its centre of mass.
+    The centre of mass of a real link is inside or near the link's shapes. No principal moment of inertia exceeds the
+    sum of the other two moments. Source: mechanics of rigid bodies.
     """
     mass = case.facts.mass
     if size_problem(mass, robot.anatomy.size, _LIGHT):
@@ -207,9 +207,9 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    A drive with an effort limit of 0 has no effect. An effort limit is a placeholder if the torque could lift fifty
-    times the robot's weight on an arm as long as the robot. Policies that are trained with a placeholder limit do not
-    transfer. Source: statics.
+    A drive with an effort limit of 0 has no effect. An effort limit is not a real value if this torque could lift fifty
+    times the robot's weight on an arm as long as the robot. Policies that are trained with unreal effort limits do not
+    work on the real robot. Source: statics.
     """
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size

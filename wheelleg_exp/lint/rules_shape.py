@@ -19,19 +19,19 @@ from wheelleg_exp.sim.names import match_names
 _ASSET = "env.robot.asset"
 _TOUCHES = 2e-3  # Soft contacts allow overlaps below this share of the robot's size.
 _DEEP = 0.25  # Two links that a joint connects may overlap by this share of the robot's size.
-_STANDS = 5e-3  # A body this near to the lowest point, as a share of the robot's size, touches the ground.
-_BUMP = 0.05  # The radius of a wheel may vary by this share around its rim.
+_STANDS = 5e-3  # A body this near to the robot's lowest point, as a share of the robot's size, touches the ground.
+_BUMP = 0.05  # The radius of a wheel may vary around its rim by this share of the radius.
 _UNEQUAL = 0.02  # The radii of the left and right wheels may differ by this share.
 _SHOWN = 4  # pairs in one message
 
 
 @rule
 def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Two bodies overlap at the start and can push each other apart.
+    """At the start of an episode, two bodies of the robot overlap and can push each other apart.
 
-    The contact force throws overlapping bodies apart in the first step. MuJoCo disables contacts between two bodies
-    that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's size.
-    Source: MuJoCo's own collision detection at the default pose; MuJoCo documentation, Computation, "Collision
+    The contact force pushes overlapping bodies apart in the first physics step. MuJoCo disables contacts between two
+    bodies that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's
+    size. Source: MuJoCo's own collision detection at the default pose; MuJoCo documentation, Computation, "Collision
     detection", on which pairs are checked.
     """
     size = robot.anatomy.size
@@ -55,10 +55,10 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A contact termination concerns a body that touches the ground or another body at the start.
+    """A contact termination watches a body that touches the ground or a second body at the start of an episode.
 
-    The rule reports a body that is as low as the robot's lowest point, or inside another body. The contact ends every
-    episode within the first steps, and the policy learns nothing. Source: kinematics of the default pose.
+    The rule reports a body that is as low as the robot's lowest point, or that overlaps a second body. Contact at the
+    start ends every episode at once, so the policy learns nothing. Source: kinematics of the default pose.
     """
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
@@ -109,21 +109,21 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
             yield Finding(_ASSET, message, "colliders of one size", {"left_m": one, "right_m": other})
 
 
-_LEAN = 0.06  # A policy easily corrects a lean below this value, rad.
-_DRAWN_LEAN = 0.17  # The allowed lean in the pose of a robot file, rad, which nobody has chosen for balance.
-_EDGE = 0.1  # The smallest distance of the centre of mass from an end of the support, as a share of its length.
+_LEAN = 0.06  # A policy easily corrects a robot's lean below this value, rad.
+_DRAWN_LEAN = 0.17  # The allowed lean of a robot in the pose of its file, rad, which nobody has chosen for balance.
+_EDGE = 0.1  # The smallest distance of the centre of mass from an outer wheel contact, as a share of the wheelbase.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
 
 @rule
 def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The centre of mass is not above the wheels at the start.
+    """At the start of an episode, the robot's centre of mass is not above the wheels.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. The rule solves the kinematics for the balanced
-    pose in its hint. On several axles, the robot's centre of mass must be between the outermost wheel contacts. Source:
-    statics of the inverted pendulum.
+    of mass of the parts above the axle is vertically above the axle. The hint of this rule contains the balanced pose,
+    which the rule computes from the kinematics. On several axles, the robot's centre of mass must be between the
+    outermost wheel contacts. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
         return
@@ -167,10 +167,10 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The wheels do not roll along the base's x axis, or do not roll in one common direction.
+    """The wheels do not roll along the x axis of the robot's base, or do not roll in one common direction.
 
-    In commands, rewards, and observations, the base's x axis points forwards. Source: Isaac Lab's convention, ROS REP
-    103; the directions of the axles.
+    Commands, rewards, and observations assume that the base's x axis points forwards. Source: Isaac Lab's convention,
+    ROS REP 103; the directions of the axles.
     """
     if not robot.anatomy.wheels:
         return
@@ -207,7 +207,7 @@ _PLACE = 0.015  # The allowed distance between a joint and its mirror image, as 
 _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
 _CENTRE = 0.02  # The allowed distance between a centre of mass and its mirror image, as a share of the robot's size.
-_ANGLE = 0.02  # The limits and positions of the left and right joints may differ by this angle, rad.
+_ANGLE = 0.02  # The limits and positions of left and right joints may differ by this angle, rad.
 _NEGLIGIBLE = 0.01  # The centre of mass of a link below this share of the robot's mass is irrelevant.
 _ALONG = 0.9  # The smallest cosine between a joint's axis and the wheels' axle, for joints parallel to the axle.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
@@ -218,8 +218,8 @@ _MOST = 4  # findings of one kind
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right wheel joints have opposite signs, although the leg joints of both sides have equal signs.
 
-    If the signs are opposite, an action of 1 drives one wheel forwards and the opposite wheel backwards. If all joints
-    of one side have the opposite sign, the sign is a convention of the robot file, and the rule reports nothing.
+    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. If
+    all joints of one side have the opposite sign, the sign is a convention of the robot file, which is not reported.
     Source: kinematics, v = omega x r.
     """
     anatomy = robot.drawn
@@ -236,7 +236,7 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
-    """Return whether the lowest pitch joints of two legs have equal signs; true if a leg has no pitch joint."""
+    """Return whether the lowest pitch joints of two legs have axes of equal sign; true if a leg has no pitch joint."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
@@ -269,8 +269,8 @@ def _way(sign: int) -> str:
 def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right legs are not mirror images in position, mass, centre of mass, or limits.
 
-    An asymmetric robot drifts to one side, and cannot satisfy rewards for symmetry. Source: the image of each joint and
-    link in the plane between the sides, in the pose that the file draws.
+    An asymmetric robot drifts to one side, and loses rewards for symmetry. Source: the image of each joint and link in
+    the plane between the sides, in the pose that the file draws.
     """
     if robot.drawn.left is None:
         return

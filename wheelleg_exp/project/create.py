@@ -1,6 +1,6 @@
 """Create a user's project: write a draft, check the draft, and move it to its place.
 
-The name of a project is also the name of the project's folder, Python package, task, and robot.
+The folder, Python package, task, and robot of a project have the name of the project.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from wheelleg_exp.project.task_yaml import config_files
 
 _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
-# These words cannot be project names, because YAML or Hydra's override grammar treats the words as values.
+# Words that cannot be project names, because YAML or Hydra's override grammar treats them as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# These names cannot be project names, because they have a different meaning in a project, in pytest, or in pip.
+# Names that cannot be project names, because they have a fixed meaning in a project, in pytest, or in pip.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
 _EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 
 
 class NameTaken(WheellegError):
-    """The name or the folder of a new project cannot be used."""
+    """A new project cannot have the given name or be in the given folder."""
 
 
 def require_name(name: str) -> None:
-    """Raise NameTaken unless ``name`` is a valid project name. The error message suggests a valid project name."""
+    """Raise NameTaken, with a valid project name as suggestion, unless ``name`` is a valid project name."""
     problem = _problem(name)
     if problem is not None:
         raise NameTaken(problem, key=name or "NAME", expected=_EXPECTED, nearest=_nearest(name))
@@ -80,7 +80,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_NEVER_SILENCED = ("missing_files", "robot_size")  # robot_size means that the robot file has a wrong unit.
+_NEVER_SILENCED = ("missing_files", "robot_size")  # The rule robot_size finds robot files with a wrong unit.
 _PURPOSES = {
     "action": "the effect of one unit of action",
     "observation": "positions of the legs",
@@ -90,7 +90,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return the texts of a project's files by path; ``asset`` and ``configs`` are relative to their folders."""
+    """Return the texts of a project's files by path; ``asset`` and ``configs`` are paths in folders of that name."""
     groups = {file: file.split("/")[0] for file in configs}
     rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
@@ -115,7 +115,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True)
 class Created:
-    """A new project at ``path``. ``accepted`` maps each silenced rule to the finding that the task accepts."""
+    """A new project at ``path``. ``accepted`` maps each silenced lint rule to the finding that the task accepts."""
 
     path: Path
     name: str
@@ -128,8 +128,8 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     """Create a project in the new folder ``place``; the folder's name is the name of the project.
 
     ``source`` is the robot's USD or URDF file, by default the file of the stock robot. If ``allow_missing`` is true,
-    missing files of colliders are accepted. An invalid name, place, or robot file raises WheellegError, and the partly
-    created project is removed.
+    files of the robot's colliders may be missing. An invalid name, place, or robot file raises WheellegError, and the
+    partly created project is removed.
     """
     path = Path(place).expanduser().absolute()
     name = path.name
@@ -150,7 +150,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
         nearest = str(source.with_name(near)) if near else None
         message = "the path is a folder" if source.is_dir() else "there is no such file"
         raise AssetError(message, key=f"--robot {source}", expected="a USD or URDF file", nearest=nearest)
-    # Write a draft folder next to the target and rename it, so that a failed check leaves no files at the target.
+    # Write the project to a draft folder and rename the folder, so that an error leaves no incomplete project.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
         draft.mkdir()
@@ -172,7 +172,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    # Copy and measure a robot. In an error message, the path of the user's file replaces the path of the copy.
+    # Copy and measure a robot. Error messages name the path of the user's robot file, not the path of the copy.
     folder = draft / "assets" / name
     try:
         robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
@@ -190,7 +190,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        # Silence the findings of `wheelleg check --physics` in the task file. The finding's message becomes the reason.
+        # Silence the findings of `wheelleg check --physics` in the task file; their texts become the reasons.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}

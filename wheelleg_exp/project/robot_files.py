@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def copy_robot(source: Path, folder: Path) -> Path:
     """Copy a robot file, and every layer, texture, or mesh to which the file refers, to ``folder``.
 
-    Files in the source's folder keep their relative paths in the copy. Files outside of the source's folder are also
-    copied to ``folder``, and the copied robot file refers to the new paths. The function returns the path of the copied
+    Files in the folder of ``source`` keep their relative paths in the copy. Files outside of the folder of ``source``
+    get new paths in ``folder``, to which the copied robot file refers. The function returns the path of the copied
     robot file.
     """
     folder.mkdir(parents=True)
@@ -54,7 +54,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
 def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
     """Return a filter for the USD library that selects the layers, textures, and materials of a robot.
 
-    Therefore, if a robot file refers to ``/etc/passwd``, this file is not copied.
+    Without this filter, a robot file that refers to ``/etc/passwd`` would copy the file ``/etc/passwd`` into a project.
     """
     from pxr import UsdUtils
 
@@ -100,13 +100,13 @@ def _is_look(file: Path) -> bool:
 
 
 def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
-    """Copy the robot's files if all files are below the source's folder. Otherwise return False."""
+    """Copy a robot's files if all of them are below the folder of the robot file. Otherwise return False."""
     home = source.resolve().parent
     if not all(file.is_relative_to(home) for file in files):
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # ``source`` is a symbolic link to the copied file.
+    if source.name != source.resolve().name:  # ``source`` can be a symbolic link to the file that was copied.
         _copy(source, folder / source.name)
     return True
 
@@ -138,7 +138,7 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
 
 
 def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return a mesh's relative path if the URDF uses this path for the mesh; None if the path must change."""
+    """Return the relative path by which a URDF names a mesh; None if the copied URDF needs a different path."""
     plain = Path(os.path.normpath(name))
     if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
         return None

@@ -1,7 +1,6 @@
 """Write the robot YAML file of a project from measurements of the robot.
 
-The gains and limits of the drives are taken from the robot file. Missing gains and limits are estimated from the
-inertias of the links.
+The robot file gives the gains and limits of the drives; missing values are estimated from the inertias of the links.
 """
 
 from __future__ import annotations
@@ -25,26 +24,26 @@ _SAG = 0.05  # The largest position error of a leg joint that carries the robot'
 _STRENGTH = 3.0  # The ratio of a leg drive's effort limit to the torque that holds the pose.
 _LEVER = 0.25  # For estimated gains, the weight acts at a lever of at least this share of the leg's length.
 _BENDS = 0.35  # A leg buckles if the static position error of a joint exceeds this value, rad or m.
-# The largest ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
+# The largest accepted ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
 _FULL = 4.0
-_SLIPS = 5.0  # An effort limit above this multiple of the torque at which the wheel slips is a placeholder.
-_FAST = 100.0  # A speed limit above this value, rad/s, is a placeholder.
-_WEAK = 0.3  # The smallest ratio of an effort limit to the torque that holds the weight at the smallest lever.
-_STEP = 0.005  # The physics time step of the task, s.
+_SLIPS = 5.0  # An effort limit above this multiple of the torque at which the wheel slips is not a real value.
+_FAST = 100.0  # A speed limit above this value, rad/s, is not a real value.
+_WEAK = 0.3  # The smallest accepted ratio of an effort limit to the torque that holds the weight at the shortest lever.
+_STEP = 0.005  # The physics time step of a new project's task, s.
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
 _TRACTION = 1.5  # The ratio of a wheel's effort limit to the torque at which the wheel slips.
 _GROUND_SPEED = 2.0  # m/s
-_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means unlimited.
+_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means that the joint is unlimited.
 
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains and limits of an actuator group, by joint.
+    """The gains and limits of a group of actuators, by the actuator's joint.
 
     Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
-    contains the names of the quantities that were taken from the robot file. ``refused`` lists unusable values of the
-    robot file, with the reasons.
+    contains the names of the quantities whose values are from the robot file. ``refused`` lists unusable gains and
+    limits of the robot file, with the reasons.
     """
 
     stiffness: dict[str, float]
@@ -58,10 +57,10 @@ class Gains:
 def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     """Return the gains of position-controlled joints, which are the leg joints by default.
 
-    If the file has no usable drive, the stiffness gives a bandwidth of 3 Hz and a static error of at most 0.05 rad
-    under the weight. For these joints the damping ratio under load is 0.7, and the effort limit is three times the
-    torque that carries the weight. A stiffness from the robot file is refused if the weight would bend the joint by
-    more than 0.35 rad, or if the drive would be unstable with the physics time step.
+    If the robot file has no usable drive, a joint gets a bandwidth of 3 Hz, a static error of at most 0.05 rad under
+    the weight, a damping ratio under load of 0.7, and an effort limit of three times the torque that carries the
+    weight. A stiffness from the robot file is refused if the weight would bend the joint by more than 0.35 rad, or if
+    the drive would be unstable with the physics time step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
@@ -103,12 +102,12 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
 
 @dataclass(frozen=True)
 class _Load:
-    """The load of a leg joint.
+    """The load that a leg joint moves.
 
-    ``inertia`` (kg·m²) is the inertia that a torque accelerates while all other joints are free. ``carried`` (kg·m²) is
-    the inertia of the part of the robot that the joint carries. ``holds_now`` (N·m) is the torque that holds the
-    default pose, ``hold`` (N·m) the torque at a lever of at least a quarter of the leg's length. ``stiffest`` (N·m/rad)
-    is a stable stiffness: with it, an undamped joint turns by one radian per step.
+    ``inertia`` (kg·m²) is the inertia that the joint's torque accelerates while all other joints are free. ``carried``
+    (kg·m²) is the inertia of the part of the robot that the joint carries. ``holds_now`` (N·m) is the torque that holds
+    the default pose, and ``hold`` (N·m) the torque that holds the weight at a lever of at least a quarter of the leg's
+    length. ``stiffest`` (N·m/rad) is a stable stiffness: with it, an undamped joint turns by one radian per step.
     """
 
     inertia: float
@@ -132,8 +131,8 @@ def _load(robot: Survey, name: str) -> _Load:
 def wheel_gains(robot: Survey) -> Gains:
     """Return the gains of the wheels; the stiffness is 0, because wheels follow speed targets.
 
-    If the file has no usable drive, the damping gives a speed response with a time constant of 0.1 s. The effort limit
-    is 1.5 times the torque at which the wheel slips, and the velocity limit is 2 m/s on the ground.
+    If the robot file has no usable drive, the damping gives the wheel's speed a time constant of 0.1 s. The effort
+    limit is 1.5 times the torque at which the wheel slips, and the velocity limit is 2 m/s on the ground.
     """
     facts, count = robot.facts, max(1, len(robot.wheels))
     share = facts.mass / count * robot.radius**2
@@ -161,7 +160,7 @@ def wheel_gains(robot: Survey) -> Gains:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return a value for each joint, equal on the left and right, and whether the robot file contains all values."""
+    """Return the values of joints, equal for mirrored joints, and whether the robot file contains all these values."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -180,7 +179,7 @@ def _damping(dof: Dof) -> float | None:
 
 
 def _speed_gain(dof: Dof) -> float | None:
-    """Return the damping of a velocity drive; None for a position drive, whose damping is no speed gain."""
+    """Return the damping of a velocity drive, which is the gain of its speed error; None for a position drive."""
     drive = dof.drive
     return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
 
@@ -307,7 +306,7 @@ def _group(name: str, joints: list[str], gains: Gains) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Return the text of a number with few significant digits, which YAML reads as a float."""
+    """Return a number as text with few significant digits, which YAML reads as a float."""
     if not math.isfinite(value):
         raise ValueError(f"the value {value} of the robot is not a finite number")
     text = repr(float(f"{value:.{digits}g}"))
@@ -315,7 +314,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def word(name: str) -> str:
-    """Return text as a YAML scalar, quoted if needed."""
+    """Return a text as a YAML scalar, with quotes if YAML needs quotes."""
     plain = _PLAIN.fullmatch(name) and name.lower() not in _WORDS
     return name if plain else json.dumps(name, ensure_ascii=False)
 
@@ -323,7 +322,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``indent`` is the indentation of the second and later lines. ``used`` is the number of characters before the list.
+    ``indent`` is the indentation of the YAML list after its first line; ``used`` characters precede the YAML list.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

@@ -43,10 +43,10 @@ _LEAN = math.radians(0.5)  # smaller leans are ignored
 class Standing:
     """How a robot stands.
 
-    ``frame`` is the rotation (w, x, y, z) of the root link's new frame in the file's frame. ``frame`` is None if the
-    file's frame has x forwards and z upwards. ``rotation`` is the rotation of the root link in the world (w, x, y, z).
-    ``positions`` contains the positions of the leg joints, rad or m. ``stance`` is None for a robot without wheels.
-    ``lean`` is the pitch of the base, rad, positive if the front is lower.
+    ``frame`` is the rotation (w, x, y, z) of the root link's new frame in its frame in the robot file. ``frame`` is
+    None if the robot file's root frame has x forwards and z upwards. ``rotation`` is the rotation of the root link in
+    the world (w, x, y, z). ``positions`` maps leg joints to positions, rad or m. ``stance`` is None for a robot that
+    has no wheels. ``lean`` is the pitch of the base, rad, positive if the front is lower.
     """
 
     frame: Quaternion | None
@@ -66,9 +66,9 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the frame with x forwards, y to the left, and z upwards while the base leans.
+    """Return the root link's frame with x forwards, y to the left, and z upwards while the base leans.
 
-    If an axis of this frame is nearly parallel to an axis of the file's frame, the file's axis replaces it.
+    If the axes of the robot file's frame are nearly parallel to these axes, the robot file's axes are used.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -87,24 +87,24 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_GROUND = 0.05  # A body touches the ground if its clearance is below this share of the standing height.
-_LEVEL = 0.99  # A root link is upright if the cosine of its tilt is at least this value.
+_GROUND = 0.05  # A body touches the ground if its distance to the ground is below this share of the standing height.
+_LEVEL = 0.99  # A root link is upright if the cosine of the root link's tilt is at least this value.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
 @dataclass(frozen=True)
 class Survey:
-    """A robot, measured in its default pose.
+    """A robot and its dimensions in its default pose.
 
     ``dofs`` contains the degrees of freedom in the robot's order, breadth first. ``legs`` contains the driven joints
-    between base and wheels, or all driven joints of a robot without wheels. ``held`` contains driven joints that no
-    action moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains the joint
-    positions of the default pose, rad or m. ``standing`` is None if the caller specified the pose. ``overlaps``
-    contains the overlap depth, m, of each pair of overlapping links that can touch. ``radius`` is the radius of the
-    wheels, m. ``size`` (m) is the height of the root link or of the centre of mass, whichever is larger. ``up`` is the
-    axis of the root link that points upwards. ``trunk`` is the heaviest link that is fixed to the root link.
-    ``trunk_mass`` is the mass of this link, kg. ``wheel_bodies`` touch the ground. ``raised_bodies`` contains the
-    bodies that have colliders but do not touch the ground. ``notes`` contains messages for the user.
+    between base and wheels; for a robot without wheels, all driven joints. ``held`` contains the driven joints that no
+    action of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains
+    the joint positions of the default pose, rad or m. ``standing`` is None if the caller of the function chose the
+    pose. ``overlaps`` contains the overlap depth, m, of each pair of overlapping links that can touch. ``radius`` is
+    the radius of the wheels, m. ``size`` is the height of the root link or of the centre of mass, m, whichever is
+    larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest link that is fixed to the
+    root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground. ``raised_bodies`` have
+    colliders but do not touch the ground. ``notes`` contains messages for the user.
     """
 
     dofs: dict[str, Dof]
@@ -136,9 +136,9 @@ class Survey:
 def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
-    ``env`` contains the sections ``sim`` and ``scene`` for the model. ``pose`` maps joint expressions to positions that
-    replace the file's default positions. If ``allow_missing`` is true, missing files of colliders are accepted. An
-    unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
+    ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps joint expressions to positions
+    that replace the robot file's default joint positions. If ``allow_missing`` is true, collider files may be missing.
+    An unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
@@ -239,14 +239,14 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the driven joints without the wheels, and the joints without a drive.
+    """Return the driven joints except wheels, and the joints without a drive.
 
-    If the robot file drives no leg joint, all leg joints except followers count as driven. The same rule applies to
-    wheels.
+    If the robot file drives no leg joint, all leg joints except followers count as driven. If the robot file drives no
+    wheel, all wheels except followers count as driven.
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []
-    # Legs and wheels are decided separately, because some files contain drives for only one of these groups.
+    # Legs and wheels are separate groups here, because some robot files contain drives for only one of the two.
     for group in ([name for name in dofs if name not in wheels], wheels):
         free = [name for name in group if name not in followers]
         driven = [name for name in free if dofs[name].drive is not None]

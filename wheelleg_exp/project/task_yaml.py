@@ -1,4 +1,4 @@
-"""Write the task file of a project, and the files of the terms that contain names of the robot."""
+"""Write the task file of a project, and the files of the terms that name links or joints of the robot."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from wheelleg_exp.project.robot_yaml import leg_gains, names, number, wheel_gain
 from wheelleg_exp.project.survey import Survey
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
-_CONTACT = 0.02  # A contact force above this share of the weight counts as a contact.
-_FORCE = 0.02  # The largest random permanent force on the base, as a share of the weight.
-_TORQUE = 0.01  # The largest random permanent torque on the base, as a share of weight times standing height.
+_CONTACT = 0.02  # A contact force above this share of the robot's weight counts as a contact.
+_FORCE = 0.02  # The largest random permanent force on the base, as a share of the robot's weight.
+_TORQUE = 0.01  # The largest random permanent torque on the base, as a share of the robot's weight times its height.
 _LOAD = (-0.05, 0.1)  # The largest mass that an event adds to the trunk, as a share of the trunk's mass.
-_ERROR = 0.2  # A height error of this share of the standing height reduces the reward by 1 per second.
+_ERROR = 0.2  # A height error of this share of the robot's standing height reduces the reward by 1 per second.
 _COST = 0.15  # A motion at a tenth of the robot's natural speeds reduces the reward by this value per second.
 _TILT = 0.03  # The largest random tilt of the stock reset event, rad.
-_DIP = 0.003  # A start tilt may put a wheel into the ground by at most this share of the robot's size.
+_DIP = 0.003  # A random start tilt may put a wheel into the ground by at most this share of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
 _LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation for an action of 1, rad.
-_WHEEL_EFFORT = 0.25  # An action of 1 at standstill takes this share of the drive's largest torque.
+_WHEEL_EFFORT = 0.25  # A wheel action of 1 at standstill takes this share of the drive's largest torque.
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
@@ -145,9 +145,9 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
-    # The ranges of the start tilts, if the stock task's tilts would put a wheel or foot into the ground.
+    # Return smaller ranges of start tilts if those of the stock task would put a wheel or foot into the ground.
     anatomy = robot.anatomy
-    # The positions of the feet are unknown, so assume a distance of half of the robot's size.
+    # The positions of the feet are unknown, so their distance is assumed to be half of the robot's size.
     arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
     if anatomy.forward is not None:
         along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
@@ -204,7 +204,7 @@ def _tolerance(robot: Survey) -> float:
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the wheel speed for an action of 1, rad/s; from standstill, the action takes a quarter of the torque."""
+    """Return the wheel speed for an action of 1, rad/s; at standstill, this action takes a quarter of the torque."""
     gains = wheel_gains(robot)
     wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
     return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())

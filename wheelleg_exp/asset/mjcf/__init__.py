@@ -1,4 +1,4 @@
-"""Write a robot description as MJCF, and compare the compiled model with it.
+"""Write a robot description as MJCF, and compare the compiled model with the robot description.
 
 | module | what it offers |
 |---|---|

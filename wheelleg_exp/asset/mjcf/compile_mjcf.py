@@ -22,7 +22,7 @@ KINDS = {"hinge": mujoco.mjtJoint.mjJNT_HINGE, "slide": mujoco.mjtJoint.mjJNT_SL
 
 
 def load(path: Path, source: str) -> mujoco.MjModel:
-    """Load an MJCF. If MuJoCo refuses the MJCF, the error gives MuJoCo's reason."""
+    """Load an MJCF. If MuJoCo refuses the MJCF, the raised AssetError gives MuJoCo's reason."""
     with refusals(source, path.parent):
         return mujoco.MjModel.from_xml_path(str(path))
 
@@ -75,7 +75,7 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
         yield f"rotation of {name}", _turn(found.quat), _turn(body.pose.rotation)
         yield f"mass of {name}", found.mass, inertial.mass
         yield f"centre of mass of {name}", found.ipos, inertial.center_of_mass
-        # Compare inertia tensors, because MuJoCo can change the order of the principal axes.
+        # Compare inertia tensors, not principal moments, because MuJoCo can change the order of the principal axes.
         scale = max(inertial.moments) or 1.0
         got = _tensor(found.inertia, found.iquat)
         yield f"inertia of {name}", got / scale, _tensor(inertial.moments, inertial.axes) / scale
@@ -90,7 +90,7 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
             yield f"range of {joint_name}", joint.range, dof.range
         yield f"armature of {joint_name}", joint.armature[0], dof.armature
         yield f"friction loss of {joint_name}", joint.frictionloss[0], dof.frictionloss
-        if "springdamper" not in dof.extra:  # MuJoCo computes damping and stiffness from the springdamper attribute
+        if "springdamper" not in dof.extra:  # MuJoCo computes a joint's gains from springdamper.
             yield f"damping of {joint_name}", joint.damping[0], dof.damping
             yield f"stiffness of {joint_name}", joint.stiffness, dof.stiffness
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]

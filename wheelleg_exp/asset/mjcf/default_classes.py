@@ -1,10 +1,10 @@
 """Collect shared attributes of MJCF elements into default classes, so that each number appears once in the MJCF.
 
-The default class with the robot's name has the attributes that all elements with one tag share. Each child class has
-the attributes that several elements share. A child class is called ``wheel`` or ``leg`` if the robot's structure shows
-that role, else by the words that the element names have in common: joints ``FL_hip`` and ``FR_hip`` get the class
-``hip``. Roles come from the structure alone: a wheel is the last hinge of a limb, has no limits, and its shapes are
-round about its axis; the joints between trunk and wheel are its leg. In a robot without wheels, no joint has a role.
+The MJCF default class with the robot's name has the attributes that all elements of one type share, and each of its
+child classes has attributes that several elements share. A child class is named ``wheel`` or ``leg`` after the role of
+its elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. Roles
+come from the structure alone: a wheel is the last hinge of a limb, has no limits, and its shapes are round about its
+axis; the joints between trunk and wheel are its leg. The joints of a robot without wheels have no roles.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
     carriers = {movers[body.parent] for body in robot.bodies if body.parent is not None and body.dofs}
     wheels = [name for name in groups if name not in carriers and _is_wheel(groups[name], bodies, meshes)]
     kinds = dict.fromkeys(wheels, WHEEL)
-    # Walk from each wheel to the trunk: every joint on the way belongs to the wheel's leg.
+    # Every joint on the way from a wheel to the trunk belongs to the leg of this wheel.
     for name in wheels:
         parent = bodies[name].parent
         while parent is not None:
@@ -128,19 +128,19 @@ class Classes:
         self._rest: dict[tuple[str, str], Attributes] = {}
 
     def child(self, name: str) -> None:
-        """Add an empty child class of the robot's class."""
+        """Add an empty MJCF default class as a child of the robot's default class."""
         self._content.setdefault(name, {})
         self._parents[name] = self.root
 
     def add(self, family: Family) -> None:
-        """Move the attributes that several elements with one tag share into default classes."""
+        """Move the attributes that several MJCF elements of one type share into default classes."""
         shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
         if shared:
             self._content[family.parent][family.tag] = shared
         rests = {name: _without(own, shared) for name, own in family.members.items()}
         for name, rest in rests.items():
             self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
-        # Elements whose remaining attributes are equal share a child class, so each number appears once in the MJCF.
+        # MJCF elements with equal attributes share a default class, so each number appears once in the MJCF.
         for names in _alike(rests, family.grouping):
             first, keys = rests[names[0]], family.grouping
             self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
@@ -156,7 +156,7 @@ class Classes:
         return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
 
     def rest(self, tag: str, name: str) -> Attributes:
-        """Return the attributes that an MJCF element does not get from its default class."""
+        """Return the attributes of an MJCF element that the element's default class does not give."""
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
@@ -194,7 +194,7 @@ class Classes:
         return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
 
     def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
-        # A default class name that is unused, or used by the same parent class for another tag.
+        # Choose a default class name that is unused, or that the same parent class uses only for a different XML tag.
         stem = self.common(names)
         # MJCF class names are global, so the name of a child class includes the name of its parent class.
         if family.parent == self.root:
@@ -278,7 +278,7 @@ def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
 
 
 def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
-    """Return the actuators by type. An MJCF default class has one actuator entry, so each type needs its own class."""
+    """Return the actuators by type. An MJCF default class can contain only one type of actuator."""
     members: dict[str, dict[str, Attributes]] = {}
     for dof in robot.dofs:
         if dof.drive:

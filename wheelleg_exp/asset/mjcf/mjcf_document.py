@@ -21,19 +21,19 @@ FEW = 6  # comments of one rule
 
 
 class Notes:
-    """The assumptions to print as XML comments, and the MJCF elements by their path in the robot file."""
+    """The converter's assumptions, to print as XML comments, and the MJCF elements by their path in the robot file."""
 
     def __init__(self, notes: Sequence[Assumption]) -> None:
         self._notes = notes
         self._elements: dict[str, Element] = {}
 
     def place(self, path: str, element: Element) -> None:
-        """Record the first MJCF element that was made from an element of the robot file."""
+        """Record the first MJCF element that the converter makes from each element of the robot file."""
         if path:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Add comments to the MJCF elements, and return the assumptions for the start of the file."""
+        """Add the converter's assumptions to MJCF elements as comments; return the assumptions without an element."""
         rules = Counter(note.rule for note in self._notes)
         many = {rule: count for rule, count in rules.items() if count > FEW}
         head = [f"{rule} ({count} places)" for rule, count in many.items()]
@@ -57,7 +57,7 @@ class Notes:
 
 
 class Names:
-    """Unique names of the free joints, loop closures, and anchor sites of an MJCF."""
+    """The unique names of the free joints, loop closures, and anchor sites of an MJCF."""
 
     def __init__(self, robot: desc.RobotDescription) -> None:
         joints = desc.Numbered(dof.name for dof in robot.dofs)
@@ -66,7 +66,7 @@ class Names:
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}
         self.anchors: dict[str | None, list[tuple[str, desc.Pose]]] = {}
-        # An equality that closes a loop connects two sites, because sites state both frames explicitly.
+        # A MuJoCo equality that closes a loop connects two sites, because two sites state the frames in both bodies.
         for closure in robot.closures:
             made = self.equalities.setdefault(closure.name, [])
             several = len(closure.anchors) > 1
@@ -85,7 +85,7 @@ def file_name(mesh: desc.Mesh) -> str:
 
 
 def obj_text(mesh: desc.Mesh) -> str:
-    """Return the text of a mesh's OBJ file, with lossless numbers."""
+    """Return the text of a mesh's OBJ file, with all digits of each number."""
     points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (f-strings are much slower)
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
     return "\n".join([*points, *faces]) + "\n"
@@ -105,7 +105,7 @@ class Writer:
         self.classes = gather(robot)
 
     def text(self) -> str:
-        """Return the text of the MJCF."""
+        """Return the text of the robot's MJCF."""
         root = Element("mujoco", {"model": self.robot.name})
         files = any(len(mesh.faces) for mesh in self.robot.meshes)
         folder = self.mesh_folder if files else None
@@ -125,7 +125,7 @@ class Writer:
             self._geom(world, geom, static=True)
         self._sites(world, self.robot.static_sites, None)
         made: dict[str | None, Element] = {None: world}
-        for body in self.robot.bodies:  # ``bodies`` lists parents before children
+        for body in self.robot.bodies:  # ``bodies`` lists each parent body before its children.
             made[body.name] = self._body(made[body.parent], body)
         contact = Element("contact")
         for first, second in self.robot.exclusions:
@@ -237,7 +237,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
-            # The name of this XML attribute is known only at run time, so the attribute cannot be a keyword argument.
+            # An XML attribute whose name is known only at run time cannot be passed as a keyword argument.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))

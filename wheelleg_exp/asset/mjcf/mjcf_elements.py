@@ -15,7 +15,7 @@ Value = str | int | float | bool | Iterable[float] | None
 
 @dataclass
 class Element:
-    """An XML element of an MJCF. ``comment`` is printed before the element; attributes that are None are omitted."""
+    """An XML element of an MJCF, with the ``comment`` before it; an attribute whose value is None is omitted."""
 
     tag: str
     attributes: dict[str, Value] = field(default_factory=dict)
@@ -23,9 +23,9 @@ class Element:
     comment: str = ""
 
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
-        """Append and return a child element.
+        """Append a child element to this XML element, and return the child.
 
-        The attributes in ``given`` are printed last. The attribute ``class_`` is printed as ``class``.
+        The XML attributes in ``given`` are printed last. The keyword argument ``class_`` sets ``class``.
         """
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})
@@ -33,7 +33,7 @@ class Element:
         return child
 
     def text(self) -> str:
-        """Return the element as indented XML. A stack replaces recursion, so any nesting depth works."""
+        """Return the XML element and its descendants, which can be nested to any depth, as indented text."""
         lines: list[str] = []
         stack: list[tuple[Element | str, int]] = [(self, 0)]
         while stack:
@@ -81,16 +81,16 @@ def value_text(value: Value) -> str:
 
 
 def number(value: float) -> str:
-    """Return the shortest text that reads back as the same number."""
+    """Return the shortest text of a number that is read back as the same number."""
     return str(int(value)) if math.isfinite(value) and abs(value) < 1e15 and value == int(value) else repr(value)
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-GREY = (0.5, 0.5, 0.5, 1.0)  # A material's colour replaces this default colour of MuJoCo.
-GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show groups 0 to 2 by default
+GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom without a material.
+GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show geoms of the groups 0 to 2 by default.
 
 Attributes = dict[str, Value]
-PLAIN: Attributes = {  # The MJCF omits attributes that equal these defaults of MuJoCo.
+PLAIN: Attributes = {  # The MJCF omits an attribute whose value is MuJoCo's default.
     **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (0.02, 1.0)),
     **dict.fromkeys(("solimp", "solimplimit", "solimpfriction"), (0.9, 0.95, 0.001, 0.5, 2.0)),
     **dict.fromkeys(("margin", "gap", "stiffness", "damping", "armature", "frictionloss"), 0.0),
@@ -99,7 +99,7 @@ PLAIN: Attributes = {  # The MJCF omits attributes that equal these defaults of 
 
 
 def pose(at: Pose) -> Attributes:
-    """Return the MJCF attributes ``pos`` and ``quat`` of a pose; None replaces a zero position or rotation."""
+    """Return the MJCF attributes ``pos`` and ``quat`` of a pose; None means a zero position or rotation."""
     return {"pos": at.position if any(at.position) else None, "quat": None if at.rotation == IDENTITY else at.rotation}
 
 
@@ -147,7 +147,7 @@ def key(item: Closure | Coupling) -> str:
 
 
 def equality(item: Closure | Coupling) -> Attributes:
-    """Return the MJCF attributes of an equality's constraint."""
+    """Return the MJCF attributes of the constraint that a MuJoCo equality adds."""
     return given({k: v for k, v in item.extra.items() if k in ("solref", "solimp", "active")})
 
 
@@ -157,7 +157,7 @@ def site(item: Site) -> Attributes:
 
 
 def geom(item: Geom, static: bool = False) -> Attributes:
-    """Return a shape's MJCF attributes: type, colour, and contact parameters. A static collider has no ``group``."""
+    """Return a shape's MJCF attributes; a collider of the world has no ``group``."""
     group = GROUP_VISUAL if not item.collides or item.drawn else GROUP_COLLIDER
     plain = GREY if item.collides and item.drawn and not static else None
     own: Attributes = {

@@ -32,14 +32,14 @@ def scene_path(model: Path) -> Path:
 def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path.
 
-    MuJoCo's ``discrete`` integrator treats stiffness implicitly. The scene gets the largest time step at which a
-    simulated robot, dropped on the floor, stays stable for half a second.
+    The preview scene uses MuJoCo's ``discrete`` integrator, which treats stiffness implicitly. The preview scene gets
+    the largest time step at which the simulation of the robot, dropped on the floor, is stable for half a second.
     """
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
         return None
     alone = load(model, model.name)
-    # The scene includes the model by a relative path, so the draft of the scene must be in the model's folder.
+    # The scene includes the robot's MJCF by a relative path, so the draft of the scene must be in the MJCF's folder.
     draft = path.with_name(f".{path.stem}.trying.xml")
     try:
         write_text(draft, _text(robot, model, alone, STEPS[0]))
@@ -91,7 +91,7 @@ def _free(stem: str) -> itertools.chain[str]:
 
 
 def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:
-    """Return the floor's height, and qpos and ctrl of the saved pose on the floor (None if no body floats)."""
+    """Return the floor's height, and MuJoCo's qpos and ctrl of the saved pose on the floor; None if no body floats."""
     data = mujoco.MjData(alone)
     mujoco.mj_kinematics(alone, data)
     at_zero = round(_lowest(alone, data), 5)

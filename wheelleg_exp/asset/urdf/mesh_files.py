@@ -76,7 +76,7 @@ class _File:
         return [item for node in visual.all("node") for item in self._below(node, np.eye(4), 0)]
 
     def _below(self, node: Element, above: Array, depth: int) -> Iterator[tuple[Element, Array]]:
-        # COLLADA nodes can refer to each other, so a file of a few lines could describe millions of parts.
+        # COLLADA nodes can refer to each other, so a COLLADA file of a few lines could describe millions of parts.
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
             raise ValueError("the file's nodes refer to each other in a cycle, or multiply to too many shapes")
@@ -213,7 +213,7 @@ def read_stl(data: bytes) -> Triangles:
         raise ValueError("the STL file is not a text file, and its length does not match its number of triangles")
     if len(corners) % 3:
         raise ValueError("a triangle of the STL file does not have three corners")
-    # View each corner as one opaque value, so that np.unique compares whole points; adding 0.0 turns -0.0 into 0.0.
+    # View each triangle corner as one value, so that np.unique compares whole points; adding 0.0 turns -0.0 into 0.0.
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -267,7 +267,7 @@ class Files:
     def find(self, name: str, endings: tuple[str, ...] = tuple(READERS)) -> Path | None:
         """Return the path of a mesh file that a URDF names; None if the file is missing or has a wrong suffix.
 
-        A file without a suffix of ``endings``, such as ``/etc/passwd``, is neither searched nor opened.
+        A file whose suffix is not in ``endings``, such as ``/etc/passwd``, is neither searched nor opened.
         """
         if not name.lower().endswith(endings):
             return None
@@ -311,7 +311,7 @@ class Files:
     def _moved(self, name: str) -> Iterator[Path]:
         """Yield possible local paths of a mesh file whose absolute path is from another machine.
 
-        The absolute path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
+        The mesh's path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
         """
         parts = Path(name).parts if name.startswith("/") else ()
         around = {above.name for above in (self.folder, *self._above())}

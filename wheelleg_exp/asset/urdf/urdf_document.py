@@ -1,7 +1,7 @@
-"""Parse a URDF, check the numbers, and record which elements and attributes became part of the model.
+"""Parse a URDF, check its numbers, and record which XML elements and attributes became part of the MJCF.
 
-XML with a document type is refused, because XML entities could grow without limit or read other
-files. The depth and the number of XML elements are limited.
+XML with a document type is refused, because XML entities could grow without limit or read other files. The nesting
+depth and the number of a URDF's XML elements are limited.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DEEPEST = 60  # nested XML elements
 
 @dataclass(eq=False)
 class Element:
-    """An XML element: ``path`` is a readable path (``/robot/link[base]/inertial``), ``line`` counts from 1."""
+    """An XML element with its path in the URDF (``/robot/link[base]/inertial``) and its line, from 1."""
 
     tag: str
     attributes: dict[str, str]
@@ -34,26 +34,26 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> list[Element]:
-        """Return the child elements with a tag."""
+        """Return the XML element's children with the given tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child element with a tag; None if no child has the tag."""
+        """Return the XML element's first child with the given tag; None if no child has the tag."""
         return next((child for child in self.children if child.tag == tag), None)
 
     def walk(self) -> Iterator[Element]:
-        """Yield the element and all elements below it, depth first."""
+        """Yield the XML element and all its descendants, depth first."""
         yield self
         for child in self.children:
             yield from child.walk()
 
 
 def parse_xml(source: Path, data: bytes) -> Element:
-    """Return the root element of an XML file's bytes."""
+    """Return the root element of an XML file from the bytes of the file."""
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # the XML elements that are still open, with their text
+    stack: list[tuple[Element, list[str]]] = []  # the XML elements whose end tag has not been read yet, with their text
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -109,7 +109,7 @@ class Document:
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
-        """Return an XML attribute's text or None, and record the MJCF part that the attribute becomes."""
+        """Return an XML attribute's text or None, and record the MJCF part that the converter makes from it."""
         value = element.attributes.get(name)
         if value is not None and became is not None:
             self.ledger.mapped(element.path, name, became)
@@ -134,7 +134,7 @@ class Document:
         return values
 
     def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
-        """Return an XML attribute's number, or None if it is missing or blank; ``endless`` allows infinity."""
+        """Return an XML attribute's number; None if the attribute is missing or blank; ``endless`` allows infinity."""
         text = self.text(element, name, became)
         if text is None or not text.strip():
             return None
@@ -145,7 +145,7 @@ class Document:
 
     def _parsed(self, element: Element, name: str, word: str) -> float:
         try:
-            return float(word.replace("_", "?"))  # Python's ``float`` accepts 1_000, but URDF does not.
+            return float(word.replace("_", "?"))  # Python's ``float`` accepts 1_000, but a URDF must not contain it.
         except ValueError:
             return self.fail(element, f"'{name}' is '{word[:SHOWN_TEXT]}'", "a number")
 
@@ -160,7 +160,7 @@ def open_document(source: Path) -> Document:
     if root.tag != "robot":
         message = f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>"
         raise AssetError(message, where=f"{source}:{root.line}", expected="<robot>")
-    # Set the path of each element: by ``name`` if unique among its siblings, else by position.
+    # The path contains an element's attribute ``name`` if no sibling has the same name, else the element's position.
     root.path = f"/{root.tag}"
     for element in root.walk():
         named = Counter((child.tag, child.attributes.get("name")) for child in element.children)

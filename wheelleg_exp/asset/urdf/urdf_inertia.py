@@ -1,8 +1,8 @@
 """Mass properties of URDF links.
 
-A link without mass, or without ``<inertial>``, is a frame on the link that it is welded to: ROS uses massless links to
-place shapes and name frames. If no link of a moving group of welded links has a mass, the volume of the group's
-colliders gives the mass.
+A link without mass, or without ``<inertial>``, is a frame on the link that it is welded to: In ROS, massless links
+serve to place shapes and to name frames. If no link of a moving group of welded links has a mass, the volume of the
+group's colliders gives the mass.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 def inertials(
     document: Document, tree: Tree, seen: dict[str, Seen], colliders: dict[str, list[Shape]], base: BaseMode
 ) -> dict[str, Inertial]:
-    """Return the mass properties of each link, by name.
+    """Return the mass properties of each link of a URDF, by the link's name.
 
-    If the URDF gives no mass, the volume of ``colliders`` gives the mass. A link that does not move can have no mass.
+    If the URDF gives no mass, the volume of ``colliders`` gives the mass. A link that cannot move may have no mass.
     """
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
@@ -98,7 +98,7 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> geomet
 
 
 def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | None:
-    """Return a link's inertia tensor in the inertial frame; None if the tensor is missing or almost zero."""
+    """Return a link's inertia tensor in its ``<inertial>`` frame; None if the tensor is missing or almost zero."""
     inertial = link.element.first("inertial")
     element = inertial.first("inertia") if inertial else None
     if element is None:

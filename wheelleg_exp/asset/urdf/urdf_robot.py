@@ -1,6 +1,6 @@
 """Read a URDF file into a robot description and a conversion report.
 
-Limits and couplings follow the URDF specification.
+The converter interprets joint limits and mimic joints as the URDF specification defines.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-PLANAR = ("_transX", "_transY", "_rotZ")  # name endings of the two slides and the hinge of a planar joint
+PLANAR = ("_transX", "_transY", "_rotZ")  # the endings of the names of a planar joint's two slides and hinge
 
 Range = tuple[float, float]
 
@@ -161,7 +161,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
 def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
     """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
 
-    ``dofs`` maps the name of each joint with one hinge or slide to its degree of freedom.
+    ``dofs`` maps the name of each URDF joint with one hinge or slide to the joint's degree of freedom.
     """
     found = []
     for joint in tree.joints.values():
@@ -191,7 +191,7 @@ def _coupling(
 
 SUFFIXES = (".urdf",)
 EARTH = 9.81
-SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF always uses SI units
+SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # A URDF always uses SI units.
 
 
 def read_urdf(source: Path, base: desc.BaseMode) -> tuple[desc.RobotDescription, Report]:
@@ -222,7 +222,7 @@ def source_files(source: Path) -> dict[str, str]:
 
 
 class _Builder:
-    """A builder of the robot description of a URDF. Each link except the world link becomes a body."""
+    """The robot description of a URDF, built step by step; each link except the world link becomes a body."""
 
     def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base
@@ -247,11 +247,11 @@ class _Builder:
     def build(self) -> tuple[desc.RobotDescription, Files]:
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids, self.base)
-        # The world link is MuJoCo's world body; its shapes become static geoms.
+        # The URDF's world link becomes MuJoCo's world body, so the shapes of this link become static geoms.
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
-        # Order the bodies by tree, because a link on a floating joint is the root of a separate tree.
+        # Order the bodies by tree, because a link on a floating joint is the root of a separate body tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
         children: dict[str | None, list[desc.Body]] = {}
         for body in bodies:

@@ -19,7 +19,7 @@ from wheelleg_exp.errors import AssetError
 
 
 class Looks:
-    """The colours that a URDF defines; ``used`` has the materials that shapes refer to."""
+    """The colours that a URDF defines; ``used`` contains the materials to which shapes refer."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -160,7 +160,7 @@ class Shapes:
             shape = Shape("mesh", (), frame, vertices, faces)
             self._points += shape.points
             require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
-            flat = flat_to_box(shape) if placed.collides else shape  # A collider is a mesh's convex hull in MuJoCo.
+            flat = flat_to_box(shape) if placed.collides else shape  # MuJoCo collides convex hulls.
             if flat is not shape:
                 self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
             return flat
@@ -178,7 +178,7 @@ class Shapes:
         """Return the name of a shape's mesh: its file's name, numbered if repeated. Equal meshes are stored once."""
         assert shape.vertices is not None
         assert shape.faces is not None
-        # Equal meshes share one file. A visual and a collider share no file, because MuJoCo's inertia modes differ.
+        # Equal meshes share one file, except a visual and a collider, which have different inertia modes in MuJoCo.
         vertices = np.round(shape.vertices, 9) + 0.0
         key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
         if key not in self.meshes:

@@ -31,7 +31,7 @@ class Link:
 
 @dataclass(eq=False)
 class Joint:
-    """A URDF joint; ``kind`` is the URDF's joint type."""
+    """A URDF joint; ``kind`` is the joint's type in the URDF."""
 
     element: Element
     name: str
@@ -47,7 +47,7 @@ class Joint:
 
 @dataclass(eq=False)
 class Tree:
-    """Links and joints of a URDF, in the order of the file."""
+    """The links and joints of a URDF, in the order of the URDF."""
 
     links: dict[str, Link]
     joints: dict[str, Joint]
@@ -59,7 +59,7 @@ class Tree:
         return self.root if self.root.name == WORLD and self.root.element.first("inertial") is None else None
 
     def depth_first(self) -> Iterator[Link]:
-        """Yield all links of the tree in depth-first order."""
+        """Yield all links of the URDF's tree in depth-first order."""
         stack = [self.root]
         while stack:
             link = stack.pop()
@@ -67,7 +67,7 @@ class Tree:
             stack.extend(joint.child for joint in reversed(link.joints))
 
     def breadth_first(self) -> Iterator[Link]:
-        """Yield all links of the tree in breadth-first order."""
+        """Yield all links of the URDF's tree in breadth-first order."""
         level = [self.root]
         while level:
             yield from level
@@ -212,7 +212,7 @@ def _positive(document: Document, element: Element | None, name: str, became: st
 
 
 def shapes_of(link: Link) -> list[Element]:
-    """Return a link's visual and collision elements, in the order of the file."""
+    """Return a link's visual and collision elements, in the order of the URDF."""
     return [child for child in link.element.children if child.tag in ("visual", "collision")]
 
 

@@ -43,7 +43,7 @@ def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
 
 
 def world_sites(stage: Stage, links: Links) -> list[Site]:
-    """Return the sites of the stage that belong to no body."""
+    """Return the sites of the USD stage that belong to no body."""
     sites = named([prim for prim in stage.prims if is_site(prim)])
     return [_site(stage, prim, name, None) for prim, name in sites if links.owner(prim.GetPath()) is None]
 
@@ -99,7 +99,7 @@ class Piece:
 
 
 def find_pieces(stage: Stage, links: Links) -> list[Piece]:
-    """Return all visuals and colliders, in the order of the stage. Unsupported shapes are reported."""
+    """Return all visuals and colliders of a USD stage, in the order of the stage. Unsupported shapes are reported."""
     pieces, points = [], 0
     for piece in filter(None, _pieces(stage, links)):
         pieces.append(piece)
@@ -110,7 +110,7 @@ def find_pieces(stage: Stage, links: Links) -> list[Piece]:
 
 
 def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
-    # CollisionAPI applies to all gprims below a prim. The stage lists parents first, so the parent's entry exists.
+    # A prim's CollisionAPI applies to all gprims below it. A USD stage lists parents before their children.
     carriers: dict[Sdf.Path, Usd.Prim] = {}
     for prim in stage.prims:
         path = prim.GetPath()
@@ -142,7 +142,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
-        elif shape.vertices is not None and shape.faces is None:  # A convex hull in MuJoCo needs no triangles.
+        elif shape.vertices is not None and shape.faces is None:  # MuJoCo needs no triangles of a convex hull.
             shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)
@@ -164,7 +164,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:
-    """Return the collision shape of a mesh. MuJoCo always uses a mesh's convex hull."""
+    """Return the shape that replaces a mesh in collisions. MuJoCo uses the convex hull of a mesh for collisions."""
     wanted = stage.ledger.read(carrier, "physics:approximation", "the collider's shape")
     if prim.GetPath() != carrier.GetPath():
         wanted = stage.ledger.read(prim, "physics:approximation", "the collider's shape") or wanted

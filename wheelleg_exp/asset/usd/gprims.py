@@ -22,10 +22,9 @@ _SEGMENTS = 32  # polygon sides
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape in its body: MuJoCo's geom type and size (m), a frame, and a mesh's points (n, 3) and triangles (k, 3).
+    """A shape of a body, with MuJoCo's geom type and size (m); a mesh has points (n, 3) and triangles (k, 3).
 
-    ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass. None means that this solid is the
-    shape itself.
+    ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass; None means the shape itself.
     """
 
     kind: ShapeKind
@@ -62,7 +61,7 @@ class _Placing:
 
     @property
     def scale(self) -> Array | None:
-        """The scale factors along the shape's own axes; None if the transform shears the shape."""
+        """The factors that scale a shape along its own axes; None if the transform shears the shape."""
         off = self.stretch - np.diag(np.diag(self.stretch))
         return None if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max() else np.abs(np.diag(self.stretch))
 
@@ -195,7 +194,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
         vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
-    # A left-handed mesh and a mirroring transform each flip the triangles, so the two flips cancel.
+    # A left-handed mesh and a mirroring transform each reverse the triangles, so together they change nothing.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
     return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
 
@@ -223,7 +222,7 @@ def triangles(
     counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
     """Return triangles (k, 3): each polygon except holes as a fan around its first corner, in order."""
-    # A polygon of n corners gives n - 2 triangles. The arrays below split all polygons at once.
+    # A polygon of n corners gives n - 2 triangles. The arrays below split all polygons of the mesh at once.
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     if holes is not None:

@@ -20,14 +20,14 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # products of numbers above this limit could overflow
+HUGEST = 1e30  # Products of numbers above this limit could overflow.
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
 
 @dataclass(frozen=True)
 class ValueKind:
-    """The required type of a USD value. ``length`` is a vector's length; ``endless`` allows infinite numbers."""
+    """The required type of a USD value; ``length`` is a vector's length, and ``endless`` allows infinite numbers."""
 
     what: What
     length: int = 1
@@ -83,7 +83,7 @@ _EXPECTED = {
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
-    """Return the required type of a USD attribute by its full name; None if any value is allowed."""
+    """Return the required type of a USD attribute's value, by the attribute's full name; None if any is allowed."""
     return next((kind for kind, texts in _KINDS.items() if any(re.fullmatch(t, name) for t in texts.split())), None)
 
 
@@ -173,15 +173,15 @@ class Ledger:
         self.authored: dict[str, dict[str, Any]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return an attribute's authored value as plain Python, or None, and record the MJCF part made from it.
+        """Return a USD attribute's authored value as plain Python, or None, and record the MJCF part made from it.
 
-        The method also reads attributes of schemas that the USD library does not know.
+        The method can read attributes of schemas that the USD library does not know.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return None
         value = value_of(attribute, kind_of(name))
-        # The report shows the joint numbers of the USD file next to the converted joint numbers.
+        # The conversion report shows the joint numbers of the USD file next to the converted joint numbers.
         if isinstance(value, (float, int, str)) and prim.IsA(UsdPhysics.Joint):
             self.authored.setdefault(str(prim.GetPath()), {})[name] = value
         if became and value is not None:
@@ -189,7 +189,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the target paths of a USD relationship, and record the MJCF part made from the relationship."""
+        """Return the target paths of a USD relationship, and record the MJCF part that the converter makes from it."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -206,16 +206,16 @@ class Ledger:
         self._assumed[str(path), rule] = Assumption(str(path), rule, str(value))
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
-        """Record a part of the robot file that the MJCF cannot express."""
+        """Record a part of the robot file that an MJCF cannot express."""
         self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
-        """Record a warning; a warning with an already recorded text is ignored."""
+        """Record a warning, unless a warning with the same text is already recorded."""
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Record a finding once for each kind, subject, and path; ``conversion_report`` lists the kinds and numbers."""
+        """Record a finding unless the same finding exists; ``conversion_report`` lists the kinds of findings."""
         plain_numbers = {name: float(value) for name, value in numbers.items()}
         self._found[kind, subject, str(path)] = Finding(kind, subject, str(path), plain_numbers)
 
@@ -238,7 +238,7 @@ class Ledger:
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-        """Return the converted attributes, assumptions, omitted physics, and warnings, in the order of recording."""
+        """Return a conversion's recorded attributes, assumptions, omitted physics, and warnings, in their order."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
         mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
         return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

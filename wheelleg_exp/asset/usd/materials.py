@@ -1,4 +1,4 @@
-"""Read colours and friction from bound materials and display colours."""
+"""Read the colours and friction of USD shapes from bound materials and display colours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Looks:
     found: dict[str, Material] = field(default_factory=dict)
 
     def named(self) -> dict[str, Material]:
-        """Return the materials that geoms use, with unique names, by the path of the USD material."""
+        """Return the materials of MuJoCo's geoms, with unique names, by the path of the USD material."""
         names = unique_names(self.found)
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
@@ -96,9 +96,9 @@ def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
 def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
     """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's default.
 
-    For files with MuJoCo's own USD schemas the function returns None, which means MuJoCo's default friction.
+    For a USD file with MuJoCo's own schemas, the friction is None, which means MuJoCo's default friction.
     """
-    # As in PhysX, a shape's own material overrides the scene's default material. A constant is the last fallback.
+    # As in PhysX, a shape's own material overrides the scene's default material; without both, friction is a constant.
     defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
     material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:

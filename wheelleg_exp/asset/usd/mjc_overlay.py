@@ -1,7 +1,7 @@
 """Add the data of MuJoCo's USD schemas to a robot description that was read from all other USD schemas.
 
-MuJoCo's schemas have attributes of joints, geoms, and equalities, the options and flags of the scene, compiler settings
-that affect masses and inertias, actuators, tendons, and keyframes.
+MuJoCo's USD schemas describe joints, geoms, equalities, actuators, tendons, keyframes, the options and flags of the
+scene, and compiler settings that affect masses and inertias.
 
 MuJoCo's schemas override Newton's schemas, and Newton's schemas override PhysX's.
 """
@@ -109,7 +109,7 @@ CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
 
 
 def with_closure_extra(stage: Stage, closure: desc.Closure) -> desc.Closure:
-    """Return a loop closure with MuJoCo's attributes for the stiffness and the activity of the constraint."""
+    """Return a loop closure with MuJoCo's attributes for its stiffness and for whether it is active."""
     prim = stage.usd.GetPrimAtPath(closure.path)
     if not CLOSED & set(schemas(prim)):
         return closure
@@ -143,7 +143,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
     if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
         extra["active"] = False
     name = f"{dof.name}_coupling"
-    # A coupling's polynomial in rad and m. Newton's offset is in the joint's USD unit, MuJoCo's offset in SI units.
+    # Newton's offset of a joint coupling is in the joint's USD unit, MuJoCo's offset in SI units.
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
@@ -158,7 +158,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
-# The robot's MJCF gets only options that change the physics; the task defines the time step and the solver.
+# The robot's MJCF gets only options that change the physics; a task's config sets the physics time step and the solver.
 _OPTIONS = """cone impratio density viscosity wind magnetic o_margin o_solref o_solimp o_friction
 noslip_iterations noslip_tolerance"""
 OPTIONS = {f"mjc:option:{name}": name for name in _OPTIONS.split()}
@@ -244,7 +244,7 @@ def _scaled(inertial: desc.Inertial, factor: float) -> desc.Inertial:
 
 
 def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with all data of MuJoCo's USD schemas, matched by prim path."""
+    """Return the robot with all data of MuJoCo's USD schemas; prim paths identify the parts of the robot."""
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
     robot = mjc.with_wraps(stage, links, robot)
@@ -277,7 +277,7 @@ def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> des
         couplings=(*robot.couplings, *couplings),
         actuators=(*robot.actuators, *mjc.read_actuators(stage, targets)),
     )
-    # If a joint has a USD drive and a MuJoCo actuator, the actuator is used, because it has more information.
+    # A MuJoCo actuator of a joint overrides the joint's USD drive, because the actuator contains more information.
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
     bodies = []
     for body in robot.bodies:

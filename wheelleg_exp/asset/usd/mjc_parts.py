@@ -33,21 +33,21 @@ WORDS = {"cone": {"pyramidal", "elliptic"}}
 
 
 def numbers(stage: Stage, prim: Usd.Prim, name: str, became: str) -> tuple[float, ...] | None:
-    """Return the numbers of an array attribute, None if the array is empty or not authored."""
+    """Return the numbers of a USD array attribute; None if the array is empty or not authored."""
     value = stage.ledger.read(prim, name, became)
     found = None if value is None else tuple(float(v) for v in np.atleast_1d(value))
     return found if found and _fits(stage, prim, name, became, found) else None
 
 
 def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
-    """Return the integers of an array attribute, [] if the array is not authored."""
+    """Return the integers of a USD array attribute; [] if the array is not authored."""
     return [int(v) for v in numbers(stage, prim, name, became) or ()]
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
     """Return the authored values of attributes; ``names`` maps USD attribute names to MJCF attribute names.
 
-    A value that is not finite means MuJoCo's default and is omitted.
+    An attribute value that is not finite means MuJoCo's default and is omitted.
     """
     found: dict[str, Attribute] = {}
     for name, became in names.items():
@@ -103,7 +103,7 @@ def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) ->
 
 
 def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
-    """Record an authored attribute as omitted, unless the ledger has already recorded the attribute."""
+    """Record a USD attribute as omitted, unless it is already recorded as converted or omitted."""
     value = stage.ledger.read(prim, name)
     if value is not None and not stage.ledger.knows(prim.GetPath(), name):
         stage.ledger.leave(prim.GetPath(), name, reason, value)
@@ -131,7 +131,7 @@ class Targets:
     bodies: dict[str, str] = field(default_factory=dict)
 
     def find(self, path: str) -> tuple[Transmission, str] | None:
-        """Return the transmission and the MJCF name of an actuator's target; None if the MJCF lacks the target."""
+        """Return the MJCF transmission of an actuator and the name of its target; None if the MJCF lacks the target."""
         kinds: tuple[Transmission, ...] = ("joint", "tendon", "site", "body")
         pairs = zip(kinds, (self.joints, self.tendons, self.sites, self.bodies), strict=True)
         return next(((kind, names[path]) for kind, names in pairs if path in names), None)
@@ -215,7 +215,7 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
 
 
 def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
-    """Return the tendons whose whole path is in the MJCF; the arguments map prim paths to MJCF names."""
+    """Return the tendons whose sites, geoms, and joints are all in the MJCF; arguments map prim paths to MJCF names."""
     found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(tendon_prims(stage)))
     return tuple(tendon for tendon in found if tendon is not None)
 
@@ -242,7 +242,7 @@ def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names
 
 
 class _BrokenPath(Exception):
-    """The path of a tendon is invalid; the error message gives the reason."""
+    """The path of a tendon in the USD file is invalid; the error message gives the reason."""
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
@@ -298,7 +298,7 @@ WRAPPED = {"sphere", "cylinder"}
 
 
 def with_wraps(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with a geom added for each shape on a tendon's path that has no geom yet."""
+    """Return the robot with an added geom for each USD shape on a tendon's path that has no geom."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
     found: dict[str, Usd.Prim] = {}
     for tendon in tendon_prims(stage):
@@ -332,7 +332,7 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 
 def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
-    """Return the keyframes whose arrays match the robot's numbers of coordinates, velocities, and controls."""
+    """Return the keyframes whose arrays have as many numbers as the robot has coordinates, velocities, and controls."""
     prims = named([prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME])
     found = (_keyframe(stage, prim, name, robot) for prim, name in prims)
     return tuple(keyframe for keyframe in found if keyframe is not None)

@@ -1,6 +1,6 @@
-"""Make the geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
+"""Make the MuJoCo geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
 
-Joined bodies, filtered pairs, and collision groups become MJCF ``exclude`` elements or collision bits of geoms.
+Joints, USD's filtered pairs, and collision groups become MJCF ``exclude`` elements or collision bits of geoms.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SMALLEST_VOLUME = 1e-13  # m³
 
 
 class Geoms:
-    """The geoms of all shapes of a stage, by body."""
+    """The geoms of all shapes of a USD stage, by body."""
 
     def __init__(self, stage: Stage, pieces: list[Piece]) -> None:
         self.stage, self.looks = stage, Looks(stage)
@@ -123,7 +123,7 @@ BITS = 31  # of MuJoCo's 32 bits
 
 @dataclass(frozen=True)
 class Filters:
-    """The pairs of bodies that never touch, and the collision bits of geoms, by shape path."""
+    """The pairs of bodies that never touch, and the collision bits of geoms, by the prim path of the geom's shape."""
 
     pairs: tuple[tuple[str, str], ...]
     bits: Mapping[str, Extra]
@@ -131,7 +131,7 @@ class Filters:
 
 @dataclass
 class _Rules:
-    """The pairs of sets of shapes that never touch; each set contains the paths of its shapes."""
+    """The collision rules: pairs of sets of shapes that never touch; each set contains the prim paths of its shapes."""
 
     sides: list[tuple[set[str], set[str]]] = field(default_factory=list)
 
@@ -140,9 +140,9 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Return a class number for each shape; shapes with equal numbers are members of equal sets.
+        """Return a number for each shape; shapes with equal numbers belong to equal sets of the collision rules.
 
-        A shape with the class number 0 is in no set.
+        A shape with the number 0 belongs to no set of the collision rules.
         """
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
@@ -164,7 +164,7 @@ class _Rules:
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
 ) -> Filters:
-    """Return the collision filters of a USD stage. Two joined bodies do not touch unless the joint allows contact.
+    """Return the collision filters of a USD stage, where two jointed bodies touch only if the joint allows contact.
 
     ``quiet`` are sets of bodies, by path, that do not touch each other; None: no two bodies touch.
     """
@@ -179,7 +179,7 @@ def read_filters(
     joined = [(first.name, second.name) for first, second in touching if first and second]
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
     pairs = {_ordered(order, a, b): None for a, b in (*joined, *bare)}
-    # MJCF excludes of bodies are easier to read than collision bits, so bits are used only if necessary.
+    # An MJCF exclude of two bodies is easier to read than collision bits, so bits are used only if necessary.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
     whole, partly = _body_pairs(solid, classes, forbidden)
@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # The attributes contype and conaffinity have one bit per filtered class, and the first bit for all other shapes.
+    # contype and conaffinity have one bit for each class of filtered shapes, and the first bit for all other shapes.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -198,7 +198,7 @@ def read_filters(
     out: dict[str, Extra] = {}
     for path, piece in solid.items():
         kind = classes[path]
-        # MuJoCo tests one geom's contype against the second geom's conaffinity: a cleared bit forbids the contact.
+        # MuJoCo tests one geom's contype against the second geom's conaffinity, so clearing a bit forbids the contact.
         touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
         own = bit.get(kind, 1)
         out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
@@ -210,7 +210,7 @@ def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Add FilteredPairsAPI of bodies, colliders, and their parents to the rules; yield pairs of whole bodies."""
+    """Yield USD's filtered pairs of bodies, and add USD's filtered pairs of other shapes to ``rules``."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -234,7 +234,7 @@ def _shapes(links: Links, solid: Mapping[str, Piece], path: Sdf.Path) -> set[str
 
 
 def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
-    """Add the pairs of collision groups that never touch, from OpenUSD's table of collision groups."""
+    """Add the pairs of collision groups that never touch, from OpenUSD's table of collision groups, to ``rules``."""
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
@@ -271,7 +271,7 @@ def _body_pairs(
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the body pairs without any contact, and the body pairs of which only some shapes never touch.
 
-    Bodies whose shapes are in equal sets are processed together.
+    The function handles bodies together if their shapes belong to equal sets of the collision rules.
     """
     if not forbidden:
         return [], []
@@ -301,7 +301,7 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
         if all(value is None or value for value in values):
             continue
-        # The bodies that a setting on a prim applies to: bodies at or below the prim, or the bodies of a joint prim.
+        # A collision setting on a prim applies to the bodies at or below the prim, or to the bodies of a joint prim.
         path = str(prim.GetPath())
         joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
         for link in joined or graph.links.below(Sdf.Path(path)):

@@ -1,8 +1,8 @@
-"""Open the USD layers of a stage before composition, and report the missing layers after composition.
+"""Open the layers of a USD stage before USD composes them, and report missing layers after the composition.
 
-The USD library opens every file that a layer names, and would wait forever for a pipe.
+The USD library opens every file that a layer names, and would wait forever for data from a named pipe.
 
-A missing texture, material library, or visual layer is reported and skipped. A missing physics layer is an error,
+A missing texture, material library, or layer of visuals is reported and skipped. A missing physics layer is an error,
 because bodies, joints, and colliders would vanish silently. What was referenced from a layer, and where, decides its
 kind, not its name: one mesh file often contains both visuals and colliders.
 """
@@ -21,9 +21,9 @@ from wheelleg_exp.errors import AssetError
 
 
 def open_layers(source: Path) -> list[Sdf.Layer]:
-    """Open all layers of a USD stage, including the layers of all variants.
+    """Open all layers of a USD stage, with the layers of all variants.
 
-    The layers stay open as long as the returned list exists.
+    The USD layers stay open as long as the returned list exists.
     """
     identifier = str(source.resolve())
     require_plain_file(source, "a layer of USD")
@@ -129,7 +129,7 @@ def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
 
 
 def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Missing], source: Path) -> None:
-    """Raise an AssetError if a missing layer or prim would have added physics to the stage."""
+    """Raise an AssetError if a missing USD layer or prim would have added physics to the stage."""
     arcs = [(item, holder) for item in missing if not _NO_LAYER.search(item.name) for holder in item.prims]
     if not arcs:
         return
@@ -165,7 +165,7 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return a text about the collider whose shapes are in ``holder``'s missing layer, or an empty string."""
+    """Return a text about the collider whose shapes are in a missing layer of ``holder``, or an empty string."""
     # The nearest ancestor that is a collider or a visual determines whether a missing layer contains physics.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)

@@ -132,7 +132,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
-    # If one articulation without self-collision contains all colliders, an MJCF default class disables self-collision.
+    # If all colliders are in one articulation without self-collision, an MJCF default class disables self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
     solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
     touching = len(quiet) != 1 or not solid <= quiet[0]

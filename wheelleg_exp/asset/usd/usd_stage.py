@@ -52,15 +52,15 @@ class Units:
         return value * self.kilograms / self.meters**3
 
     def inertia(self, value: float) -> float:
-        """Convert a moment of inertia to kg·m²."""
+        """Convert a moment of inertia from stage units to kg·m²."""
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
-        """Convert a joint coordinate or velocity from degrees or stage lengths to rad or m."""
+        """Convert a joint coordinate or velocity from USD's degrees or stage lengths to rad or m."""
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
-        """Convert a torque or force to N·m or N."""
+        """Convert a torque or force from stage units to N·m or N."""
         return rounded(value * self.kilograms * self.meters ** (2 if angular else 1))
 
     def gain(self, value: float, angular: bool) -> float:
@@ -87,14 +87,14 @@ def endless(value: float | None, angular: bool) -> bool:
 
 
 def effort_limit(value: float | None) -> float | None:
-    """Return a drive's effort limit in stage units; None if the limit is missing, infinite, huge, or not positive."""
+    """Return a drive's effort limit in USD stage units; None if it is missing, infinite, huge, or not positive."""
     return None if value is None or not math.isfinite(value) or value >= HUGE or value <= 0 else value
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
     """Select variants on the stage's session layer. Return the selected variant of each variant set.
 
-    A selection applies to the first prim with the variant set, starting at the default prim.
+    A variant selection applies to the first prim with the variant set, starting at the default prim.
     """
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
@@ -118,7 +118,7 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
-    """Return the variant names of each variant set at or below ``root``; sets of ``root`` come first."""
+    """Return the variant names of each USD variant set at or below the prim ``root``; those of ``root`` come first."""
     found: dict[str, list[str]] = {}
     for prim in Usd.PrimRange(root):
         for name in prim.GetVariantSets().GetNames():
@@ -152,12 +152,12 @@ class Stage:
 
     @cached_property
     def physics_scenes(self) -> list[Usd.Prim]:
-        """The PhysicsScene prims, in the stage's order."""
+        """The PhysicsScene prims of a USD stage, in the stage's order."""
         return [prim for prim in self.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
 
     @cached_property
     def articulation_prims(self) -> list[Sdf.Path]:
-        """The paths of the prims with ArticulationRootAPI."""
+        """The paths of the USD prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
@@ -180,7 +180,7 @@ class Stage:
 
 
 def schemas(prim: Usd.Prim) -> list[str]:
-    """Return the names of a prim's applied API schemas, including schemas unknown to the USD library."""
+    """Return the names of the API schemas applied to a USD prim, even of schemas that the USD library does not know."""
     return list(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
 
 
@@ -203,7 +203,7 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
-        # Set attributes that have only time samples to their first sample, in memory; return their paths.
+        # Set USD attributes that have only time samples to their first sample, in memory; return their paths.
         sampled = []
         for layer in usd.GetUsedLayers():
             if not layer.ListAllTimeSamples():
@@ -321,7 +321,7 @@ def _hashes(usd: Usd.Stage, source: Path) -> dict[str, str]:
 
 
 def file_hash(path: Path) -> str:
-    """Return the sha256 of a file."""
+    """Return the sha256 hash of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -1,4 +1,4 @@
-"""Find the bodies of a stage, connect them as trees, and compute their mass properties.
+"""Find the bodies of a USD stage, connect them as trees, and compute their mass properties.
 
 | module | what it offers |
 |---|---|

@@ -55,7 +55,7 @@ class Tree:
     closures: list[Joint] = field(default_factory=list)
 
     def depth_first(self) -> list[Node]:
-        """Return the tree's nodes in depth-first order."""
+        """Return the nodes of the spanning tree in depth-first order."""
         children: dict[str | None, list[Node]] = {}
         for node in self.nodes:
             children.setdefault(node.parent.path if node.parent else None, []).append(node)
@@ -69,7 +69,7 @@ class Tree:
 
 
 def drawn_in_parent(node: Node) -> Frame:
-    """Return the pose of the body in its parent body, as drawn in the USD file."""
+    """Return the pose of a body in its parent body, as drawn in the USD file."""
     return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
 
 
@@ -82,10 +82,10 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return a loop joint that no equality can replace, and another joint of the loop that is opened instead; or None.
+    """Return a loop's closing joint that no MuJoCo equality can replace, and the joint to open instead; or None.
 
-    The joint that is opened instead has no drive, and an equality can replace this joint. If the loop has several
-    joints without a drive that an equality can replace, the joint furthest from the root is returned.
+    The joint to open has no drive, and a MuJoCo equality can replace it. If several joints of the loop have no drive
+    and can be replaced, the one furthest from the root is returned.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -162,10 +162,10 @@ def _leave_coordinates(stage: Stage, joint: Joint) -> None:
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
-    The tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from the root.
-    If no equality can replace the opened joint, a different joint of the loop is opened if possible.
+    The spanning tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from
+    the root. If no MuJoCo equality can replace the opened joint, a different joint of the loop is opened if possible.
 
-    The base ``floating`` drops joints that fix a root to the world; ``fixed`` removes the free joint.
+    The base mode ``floating`` drops joints that fix a root to the world; ``fixed`` drops the free joint of the root.
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
@@ -173,7 +173,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # The exchange of the opened joint changes the whole tree, so the tree is built again after each exchange.
+    # Opening a loop at a different joint changes the whole spanning tree, so the tree is built again.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
@@ -206,7 +206,7 @@ def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
-    """Treat a generic joint without limits from the root to the world as a fixed joint, as PhysX does."""
+    """Replace a generic joint without limits between root and world by a fixed joint, as PhysX does."""
     marks = stage.articulation_prims
     for joint in joints:
         free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
@@ -249,7 +249,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """A builder of breadth-first spanning trees. A joint to a body that is already in a tree closes a loop."""
+    """Spanning trees, built breadth first; a joint to a body that is already in a tree closes a loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
@@ -293,7 +293,7 @@ class _Builder:
             relative, floating = link.frame, self.base != "fixed" and not link.kinematic
         else:
             side = joint.side(link)
-            # If the joint's coordinates are zero, the joint's frames in the two bodies coincide.
+            # If the coordinates of a USD joint are zero, the joint's frames in its two bodies coincide.
             relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
         above = self._placed[parent.path] if parent else Frame.identity()
@@ -301,7 +301,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Treat each joint that is not in the tree as a loop closure, or add it to the edge between its two bodies."""
+        """Treat each joint outside the spanning tree as a loop closure, or add it to the edge between its bodies."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -319,7 +319,7 @@ class _Builder:
 
 
 def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether the freedoms of several joints between two bodies add up, as in MuJoCo; None if unknown."""
+    """Return whether several joints between two bodies add their degrees of freedom, as in MuJoCo; None if unknown."""
     name = "newton:jointsAddMobility"
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]
@@ -327,5 +327,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether the joints have MuJoCo's USD schema, with which the freedoms of a body's joints add up."""
+    """Return whether joints have MuJoCo's USD schema, with which the degrees of freedom of a body's joints add up."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

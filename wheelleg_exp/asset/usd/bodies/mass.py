@@ -1,6 +1,6 @@
 """Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh.
 
-The mass of a collider is the authored mass, or a density times the collider's volume.
+A collider's mass is the mass in the USD file, or a density times the collider's volume.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
 
 
 def _center(stage: Stage, link: Link) -> Array | None:
-    """Return the authored centre of mass in the body's frame, scaled by the prim's scale; -inf means not authored."""
+    """Return the authored centre of mass, scaled with the prim, in the body's frame; None for USD's value -inf."""
     value = stage.ledger.read(link.prim, "physics:centerOfMass")
     if value is None or not all(math.isfinite(v) for v in value):
         return None

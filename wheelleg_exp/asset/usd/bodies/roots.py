@@ -36,14 +36,14 @@ class Graph:
         return self.edges.get(link.path if link else None, [])
 
     def neighbours(self, link: Link, closing: bool = False) -> Iterable[Link]:
-        """Yield the bodies that joints connect to a body; ``closing`` includes joints that close loops."""
+        """Yield the bodies that joints connect to a body; ``closing`` includes joints that close kinematic loops."""
         for joint in self.at(link):
             other = joint.other(link)
             if other is not None and (closing or not joint.closes):
                 yield other
 
     def component(self, start: Link) -> list[Link]:
-        """Return ``start`` and all bodies that tree joints connect to ``start``, level by level."""
+        """Return ``start`` and all bodies that joints of the spanning tree connect to ``start``, level by level."""
         return list(self.distances(start, closing=False)[0])
 
     def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
@@ -60,7 +60,7 @@ class Graph:
 
 
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
-    """Return the root bodies of the spanning trees, in order of priority.
+    """Return the root bodies of the spanning trees, the most suitable body first.
 
     The roots are, in this order: bodies with a joint to the world, bodies with ArticulationRootAPI, kinematic bodies,
     PhysX's centre body of each floating articulation, and bodies that are no joint's child.
@@ -106,7 +106,7 @@ def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
-    """Yield the centre body of each floating articulation that contains no root body yet."""
+    """Yield the centre body of each floating articulation that does not contain a known root body."""
     reached: set[str] = set()
     for root in roots:
         if root.path not in reached:

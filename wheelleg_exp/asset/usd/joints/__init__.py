@@ -1,4 +1,4 @@
-"""Convert the joints of a stage to degrees of freedom, tendons, and couplings.
+"""Convert the joints of a USD stage to degrees of freedom, tendons, and joint couplings.
 
 | module | what it offers |
 |---|---|

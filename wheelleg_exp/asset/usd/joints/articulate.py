@@ -20,13 +20,13 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return the degrees of freedom of a body in its parent. The drawn pose replaces a missing joint state of the file.
+    """Return a body's degrees of freedom; a joint without a state in the USD file gets the state of the drawn pose.
 
-    A zero coordinate outside the limits is moved inside the limits, except in a robot with ``loops``, because the loops
-    would open.
+    A joint coordinate of zero outside the joint's limits is moved inside the limits, except in a robot with ``loops``,
+    which would open.
 
-    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the axis
-    is negated, and the limits, targets, and gains are unchanged.
+    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the
+    converter negates the axis, and keeps the limits, targets, and gains.
     """
     if node.joint is None:
         return ()
@@ -76,7 +76,7 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
-    """Return the joint coordinates that move a body from zero to its drawn pose, or as near to this pose as possible.
+    """Return the joint coordinates that bring a body from its zero pose as near as possible to its drawn pose.
 
     The coordinates of a ball joint, and of a body with several joints, stay zero.
     """

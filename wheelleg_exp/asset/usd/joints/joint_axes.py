@@ -1,4 +1,4 @@
-"""The free axes of a joint, the range of each free axis, and the position of each locked axis."""
+"""Find the free axes of a USD joint, the range of each free axis, and the position of each locked axis."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
 def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
     """Return the free axes of a generic joint, slides before hinges, and the positions of the locked axes.
 
-    An axis is locked at 0 if its low limit is above its high limit. An axis with two equal limits is locked at the
-    value of the limits. Three free rotations are a ball joint if none of the rotations has limits, a drive, a state, or
-    friction, because a ball joint cannot have separate values per axis.
+    A joint's axis is locked at 0 if the axis's low limit is above its high limit. A joint's axis with two equal limits
+    is locked at the value of these limits. Three free rotations are a ball joint if none of the rotations has limits, a
+    drive, a state, or friction, because a ball joint cannot have separate values per axis.
     """
     free, offset = [], Frame.identity()
     for token in (*SLIDES, *TURNS):

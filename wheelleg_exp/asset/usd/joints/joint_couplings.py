@@ -1,6 +1,6 @@
 """Read joints that become tendons or couplings: distance joints, and PhysX's mimic joints.
 
-A distance joint becomes a tendon between two points. The tendon has a range, or springs at the ends of the range.
+A distance joint becomes a tendon between two points, with a range or with springs at the ends of a range.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _wide(limits: Range) -> Range:
 
 
 def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
-    """Return MuJoCo's spring with a dead band in place of PhysX's springs at the ends of a distance range."""
+    """Return MuJoCo's spring with a dead band, which replaces PhysX's springs at the ends of a distance range."""
     read, units = stage.ledger.read, stage.units
     if read(prim, f"{SPRING}springEnabled", "tendon stiffness") is not True:
         return {}

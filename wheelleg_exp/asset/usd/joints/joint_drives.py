@@ -1,6 +1,6 @@
 """Read drives, passive forces, and the velocity and effort limits of joints.
 
-Gains per degree are converted to gains per rad, and targets are clamped to the limits.
+Drive gains per degree are converted to gains per rad, and drive targets are clamped to the joint's limits.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", 
 def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
     """Return the drive of one joint axis, None if no drive is authored.
 
-    The target is clamped to ``limits`` (rad or m). ``ref`` is the MuJoCo coordinate of the joint where USD's coordinate
-    is zero.
+    The drive's target is clamped to the joint's ``limits`` (rad or m). ``ref`` is the MuJoCo coordinate of the joint
+    where USD's coordinate is zero.
     """
     value = _values(stage, prim, axis.token)
     if value is None:
@@ -48,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report a target velocity that a position actuator ignores; it moves PhysX's drive ``shift`` off its target."""
+    """Report a drive's target velocity, which shifts the drive by ``shift`` in PhysX but is ignored in MuJoCo."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
@@ -74,7 +74,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return an effort limit (N·m or N; infinite if unlimited), and record a finding for a placeholder."""
+    """Return a drive's effort limit (N·m or N; infinite if unlimited); record a finding if it is not a real value."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -82,7 +82,7 @@ def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float |
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
-    """Clamp a joint coordinate to the limits, and record an assumption if the coordinate changes."""
+    """Clamp a joint coordinate to the joint's limits, and record an assumption if the coordinate changes."""
     if limits is None or limits[0] <= value <= limits[1]:
         return value
     inside = min(max(value, limits[0]), limits[1])
@@ -92,7 +92,7 @@ def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range
 
 Found = tuple[str, float | None]  # name and SI value
 
-# The USD attributes of each quantity, by priority: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
+# The USD attributes of each joint quantity, by priority: MuJoCo, Newton, PhysxJointAxisAPI, PhysxJointAPI (old).
 _ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
 _FRICTION = (
     *("mjc:frictionloss", "newton:friction"),
@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# PhysX ignores PhysxJointAPI if PhysxJointAxisAPI is applied, and uses these fallback values for unauthored attributes.
+# the values that PhysX uses for attributes of PhysxJointAxisAPI that the USD file does not set
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
@@ -140,7 +140,7 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
-        # Only PhysxJointAxisAPI has a value for each joint axis. Values of all other schemas apply to the whole joint.
+        # Only PhysxJointAxisAPI has a value per joint axis; a value of any other USD schema applies to the whole joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:
@@ -156,7 +156,7 @@ def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], f
 def _per_axis(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
 ) -> Iterable[Found]:
-    """Yield PhysxJointAxisAPI's values for one axis. A ball joint gets the strictest value of its three axes."""
+    """Yield PhysxJointAxisAPI's values for one joint axis; a ball joint gets the strictest value of its axes."""
     tokens = TURNS if axis.kind == "ball" else (axis.token,)
     found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
     values = [value for _, value in found if value is not None]
@@ -183,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether an attribute has the used value, or is the used attribute on another axis of a ball joint."""
+    """Return whether an attribute agrees with the attribute ``winner`` in its value, or in its name except the axis."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 
@@ -212,7 +212,7 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
 def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
     """Return the total force range of all motors of a joint, in N·m or N.
 
-    If only one end of the range is authored, the missing end is MuJoCo's default, 0.
+    If only one end of the force range is authored, the missing end is MuJoCo's default, 0.
     """
     low, high = (stage.ledger.read(prim, f"mjc:actuatorfrcrange:{end}", "actuatorfrcrange") for end in ("min", "max"))
     if low is not None or high is not None:

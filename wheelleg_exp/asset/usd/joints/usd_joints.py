@@ -52,7 +52,7 @@ class Joint:
 
 
 def read_joints(stage: Stage, links: Links) -> list[Joint]:
-    """Return the enabled joints whose bodies exist, including distance joints, in the order of the stage."""
+    """Return the enabled joints of a USD stage whose bodies exist, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_joint(stage, links, prim, names[str(prim.GetPath())]) for prim in prims)
