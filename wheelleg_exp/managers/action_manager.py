@@ -20,8 +20,8 @@ class ActionTerm(TermBase):
     """One term of the action vector, which processes its own slice of the vector.
 
     Attributes:
-        drives: which target of its joints the term sets: ``position``, ``velocity``, ``effort``, or an empty text for a
-            term without joint targets.
+        drives: which target of its joints the term sets: The kind of the joint targets: ``position``, ``velocity``,
+            ``effort``, or an empty text for a term without joint targets.
         joint_names: names of the joints, if the term drives joints.
         action_dim: width of the slice.
     """
@@ -34,7 +34,7 @@ class ActionTerm(TermBase):
 
     @property
     def applies_once(self) -> bool:
-        """Whether ``apply_actions`` sets the same targets at every physics step of a control step."""
+        """Whether ``apply_actions`` sets equal joint targets at all physics steps of one control step."""
         return False
 
     def process_actions(self, actions: torch.Tensor) -> None:
@@ -49,8 +49,8 @@ class ActionTerm(TermBase):
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
     """Return an error for each joint whose target two terms set: only the later term would have an effect.
 
-    A claim consists of an action term's config key, the target that the term sets (such as ``position``), and the
-    term's joints.
+    A claim has an action term's config key, the kind of joint target that the term sets (such as ``position``), and the
+    joints.
     """
     by_kind: dict[str, list[tuple[str, str, Sequence[str]]]] = {}
     for path, kind, joints in claims:
@@ -114,7 +114,7 @@ class ActionManager(ManagerBase):
         return [(name, term.raw_actions[env_idx].tolist()) for name, term in self._action_terms.items()]
 
     def process_action(self, action: torch.Tensor) -> None:
-        """Process the raw action (N, total) of this control step, without clipping."""
+        """Process the raw actions (N, total) of the present control step, without clipping them."""
         if action.shape != self.action.shape:
             raise ValueError(f"the actions have the shape {tuple(action.shape)}, expected {tuple(self.action.shape)}")
         self.prev_action.copy_(self.action)
@@ -127,7 +127,7 @@ class ActionManager(ManagerBase):
             start += term.action_dim
 
     def apply_action(self) -> None:
-        """Set the joint targets before a physics step. Set constant targets only once per control step."""
+        """Set the joint targets before a physics step; constant targets are set only once per control step."""
         for name, term in self._action_terms.items():
             if not (self._is_new or name in self._delays or not term.applies_once):
                 continue

@@ -1,4 +1,4 @@
-"""Copy masks and finiteness checks from a GPU to the host asynchronously."""
+"""Copy masks and the results of checks for NaN and inf from a GPU to the host asynchronously."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Finds environments whose episode ended. Masks (N,) are copied to the host, which computes indices.
+    """Finds environments whose episode ended; the host computes the indices from copies of masks (N,).
 
-    The GPU continues to work while the host waits for the masks: ``start`` starts the copies, and ``ids`` waits for the
-    copies. A third mask is available later than the first two masks. On a GPU ``ids`` does not wait for the third mask
-    unless the caller passes ``at_once``; ``late`` then returns the environments of the third mask.
+    The GPU continues to work while the host waits for the masks: ``start`` starts to copy masks from the GPU, and
+    ``ids`` waits until the masks have arrived. The mask ``also_failed`` is available later than ``ended`` and
+    ``failed``. On a GPU, ``ids`` waits for ``also_failed`` only with ``at_once``; otherwise, ``late`` returns its
+    environments.
 
     Attributes:
         answers_late: whether ``late`` may answer for the third mask; only on a GPU, where waiting costs time.
@@ -41,8 +42,8 @@ class AsyncMaskQuery:
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) is a third mask of failed environments. Unless ``at_once`` is True, the environments of
-        ``also_failed`` may be missing here; ``late`` then returns them.
+        ``also_failed`` (N,) is another mask of failed environments, in addition to ``failed``. Unless ``at_once`` is
+        True, environments of ``also_failed`` may be missing in the result; ``late`` then returns them.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -54,7 +55,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the environments of ``also_failed`` that are missing in the two results of ``ids``."""
+        """Return the environments of the mask ``also_failed`` that are missing in the results of ``ids``."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -82,20 +83,20 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    The host does not wait for a GPU: a NaN or inf is reported some checks later. After a NaN or inf, every check waits
-    for the GPU until ``_PATIENCE`` checks in a row found finite numbers.
+    The host does not wait for a GPU: a NaN or inf is reported some checks later. After a NaN or inf, every check for
+    finite numbers waits for the GPU until ``_PATIENCE`` checks in a row found none.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
     watch = _watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)  # a finiteness check in a CUDA graph cannot wait for the GPU
+    watch.note(total)  # a check for NaN and inf in a CUDA graph cannot wait for the GPU
     return True
 
 
 def note(total: torch.Tensor) -> None:
-    """Include a number (a tensor with one element on a GPU) in the finiteness check of ``is_calm``."""
+    """Include a number (a GPU tensor with one element) in the check for NaN and inf that ``is_calm`` reports."""
     _watch(total.device).note(total)
 
 
@@ -112,7 +113,7 @@ def _watch(device: torch.device) -> _FiniteWatch:
 
 
 class _FiniteWatch:
-    """Detects NaN and inf on a GPU. The host reads the latest asynchronous copy of the check's result."""
+    """Detects NaN and inf on a GPU; the host reads the latest asynchronous copy of the result."""
 
     def __init__(self, device: torch.device) -> None:
         with torch.inference_mode(False):
@@ -121,11 +122,11 @@ class _FiniteWatch:
         self._checks, self._waits = 0, 0
 
     def note(self, total: torch.Tensor) -> None:
-        """Add ``total * 0`` to a running sum. The sum is 0 while all numbers are finite, and NaN after a NaN or inf."""
+        """Add ``total * 0`` to a running sum, which is 0 while all numbers are finite, and NaN after a NaN or inf."""
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return whether all checked numbers were finite. After a NaN or inf, return False in ``_PATIENCE`` calls."""
+        """Return whether all checked numbers were finite; after a NaN or inf, False in ``_PATIENCE`` calls."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()
@@ -140,4 +141,4 @@ class _FiniteWatch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # one watch per GPU, by the index of the GPU
+_watches: dict[int, _FiniteWatch] = {}  # one object that watches for NaN and inf per GPU, by the index of the GPU

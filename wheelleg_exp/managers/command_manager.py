@@ -18,9 +18,9 @@ from wheelleg_exp.terms.term_errors import described
 
 
 class CommandTerm(TermBase):
-    """Base class of commands, with a resampling timer and metrics of the tracking error.
+    """Base class of command terms, with a resampling timer and metrics of the command's tracking error.
 
-    A metric is the sum over steps of ``error * dt``, divided by the longest time between two draws of the command. With
+    A metric is the sum of ``error * dt`` over control steps, divided by the longest time between two draws. With
     ``logs_last_error``, the metric is the tracking error at the end of the episode, which suits commanded positions.
 
     Args:
@@ -62,7 +62,7 @@ class CommandTerm(TermBase):
         """Compute the command from the drawn values; the manager calls this method in every control step."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update metrics, draw commands with expired timers, and post-process. Return the tracking errors (M, N)."""
+        """Update metrics, draw commands with expired timers, and post-process; return the tracking errors (M, N)."""
         errors = self.errors()
         shape = self.error_sums.shape
         if getattr(errors, "shape", None) != shape:
@@ -85,15 +85,15 @@ class CommandTerm(TermBase):
     def read_settings(self) -> None:
         """Read the settings again.
 
-        Tensors that ``draw`` reads must be changed in place only, because a CUDA graph refers to their memory.
+        Code must change the tensors that ``draw`` reads in place, because a CUDA graph refers to their memory.
         """
 
     def may_expire(self, dt: float) -> bool:
-        """Return whether a resampling timer may expire within ``dt`` seconds. The host does not wait for the GPU."""
+        """Return whether a resampling timer may expire within ``dt`` seconds, without waiting for a GPU."""
         return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the metrics' means over the environments ``env_ids``; then clear the metrics and draw new commands."""
+        """Return the means of the command's metrics over ``env_ids``; then clear the metrics and draw new commands."""
         steps = self.steps.index_select(0, env_ids).clamp(min=1)
         means = self.metrics.index_select(1, env_ids).mean(dim=1)
         per_step = (self.error_sums.index_select(1, env_ids) / steps).mean(dim=1)
@@ -136,7 +136,7 @@ class CommandManager(ManagerBase):
             term.form = row_form(self._num_envs, env.device)
 
     def get_command(self, name: str) -> torch.Tensor:
-        """Return the current command of a command term, (N, k)."""
+        """Return the present command of a command term, (N, k)."""
         found, term = self.get_term(name), self._terms[name]
         with term.blamed():
             command = found.command
@@ -161,7 +161,7 @@ class CommandManager(ManagerBase):
                 term.read_settings()
 
     def may_draw(self, dt: float) -> bool:
-        """Return whether a command may be drawn in a step of ``dt`` seconds. The host does not wait for the GPU."""
+        """Return whether a command may be drawn in a step of ``dt`` seconds, without waiting for a GPU."""
         # Build a list, so that every term advances its timer; a generator would stop at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
@@ -173,10 +173,10 @@ class CommandManager(ManagerBase):
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # delete the flag, because an attribute of a term would be saved as state
+                    del term.may_draw  # delete the flag, because attributes of a command term are saved as state
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Draw new commands and return the metrics of the episodes that ended."""
+        """Draw new commands, and return the commands' metrics over the episodes that ended."""
         log = {}
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():

@@ -20,7 +20,7 @@ from wheelleg_exp.terms.term_binding import EVENT_MODES
 
 
 class EventManager(ManagerBase):
-    """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or a user-defined mode.
+    """Runs event terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or a user-defined mode.
 
     The event manager is built before the scene is compiled, so that ``prestartup`` terms can edit ``env.scene.spec``.
     """
@@ -50,7 +50,7 @@ class EventManager(ManagerBase):
                 self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
 
     def play(self) -> None:
-        """Create the term objects after the simulation has been built."""
+        """Create the objects of event terms after the simulation has been built."""
         for name, term in self._terms.items():
             instantiate_term(term, self._env)
             self._note_asked(name)
@@ -68,8 +68,8 @@ class EventManager(ManagerBase):
     def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
         """Run the events of ``prestartup``, ``startup``, ``reset``, or a user-defined mode in some or all environments.
 
-        The mode ``reset`` requires the number of control steps since the start of the run. A user-defined mode that has
-        no event terms causes a warning.
+        The mode ``reset`` of events needs the number of control steps since the start of the run. A user-defined event
+        mode without event terms causes a warning.
         """
         if mode == "interval":
             raise ValueError(
@@ -88,20 +88,20 @@ class EventManager(ManagerBase):
                 ids = self._due(name, term, everyone, global_env_step_count)
                 if not len(ids):
                     continue
-            if mode == "prestartup":  # the simulation is built only later
+            if mode == "prestartup":  # the simulation is built only after this call
                 term(self._env, ids)
             else:
                 self._run(name, term, ids)
 
     def advance_timers(self, dt: float) -> None:
-        """Subtract ``dt`` seconds from the event timers; store the environments with expired timers in ``fired``."""
+        """Subtract ``dt`` seconds from the event timers; store in ``fired`` the environments whose timers expired."""
         for name in self._modes.get("interval", {}):
             time_left = self._time_left[name]
             time_left -= dt
             self.fired[name] = time_left < 1e-6
 
     def apply_due(self, dt: float) -> bool:
-        """Run the events with expired timers, then the events of mode ``step``; return whether any event ran.
+        """Run interval events whose timers expired, then the events of mode ``step``; return whether any event ran.
 
         ``dt`` is the time, s, that the last call of ``advance_timers`` subtracted.
         """

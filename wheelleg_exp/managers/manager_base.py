@@ -32,7 +32,7 @@ from wheelleg_exp.user_exceptions import ending_as, in_words
 
 
 class TermBase(Stateful):
-    """A term with state. Constructors take ``env``, the parameters, and ``generator`` for random numbers.
+    """A term with state, whose constructor takes ``env``, the parameters, and ``generator`` for random numbers.
 
     The package ``state`` saves and restores the attributes of a term: tensors always, unless ``settings`` names them;
     other attributes once they have changed.
@@ -72,7 +72,7 @@ class ManagerTermBase(OfEnv, TermBase):
 
 @dataclass
 class Term(Kept):
-    """A bound term, called as ``func(env, **params)`` for functions, and ``func(env)`` for term objects.
+    """A term bound to its function or object; called as ``func(env, **params)`` or, for objects, ``func(env)``.
 
     Attributes:
         path: the config key of the term.
@@ -107,7 +107,7 @@ class Term(Kept):
     lends: bool = field(default=False, init=False)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a field of the term (such as ``weight``) as an attribute, as in Isaac Lab's term configs."""
+        """Return a field of the term's config, such as ``weight``, as an attribute, as in Isaac Lab's configs."""
         if name in FIELD_TYPES:
             return vars(self).get("fields", {}).get(name)
         raise AttributeError(f"a term has no attribute '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
@@ -119,7 +119,7 @@ class Term(Kept):
             super().__setattr__(name, value)
 
     def __call__(self, *args: Any) -> Any:
-        """Call the term with the environment (and ids), and check that the return value has the required form.
+        """Call the term with the environment (and ids), and check that the term's return value has the required form.
 
         An exception in the term's code is raised as ConfigError in the first call, and as SimulationFailure in later
         calls.
@@ -170,7 +170,7 @@ class Term(Kept):
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
     def take_arguments(self) -> None:
-        """Apply changed constructor arguments to the term object, but do not change the object's state."""
+        """Apply changed constructor arguments to the term object, without changing the object's state."""
         if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
         assert self.stateful is not None
@@ -178,7 +178,7 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Create the term object with the function ``make``.
+        """Create the object of the term with the function ``make``.
 
         With ``keeps_params``, each call of the term object receives the parameters, as in Isaac Lab.
         """
@@ -212,7 +212,7 @@ def bind_terms(
     """Bind every term of a config section, in the order of the config; terms that are null are skipped.
 
     ``kind`` is a key of ``terms.RESERVED``, and ``section`` is a config key such as ``env.rewards``. If ``instantiate``
-    is False, call ``instantiate_term`` later to make the term objects.
+    is False, ``instantiate_term`` makes the term objects later.
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
@@ -249,7 +249,7 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """If the term is a class, create its object; store the settings of every term. Functions are used unchanged."""
+    """If the term is a class, create the term's object; store the settings of every term."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
@@ -260,7 +260,7 @@ def instantiate_term(term: Term, env: Env) -> None:
 
     def make() -> TermBase:
         node = TermNode(term.name, term.path, term.target, {}, term.arguments)
-        for error in parameter_errors("commands", node, kind):  # the command manager reads no fields of the terms
+        for error in parameter_errors("commands", node, kind):  # the command manager reads no fields of command terms
             raise error
         with term.blamed():
             arguments: dict[str, Any] = {"cfg": term}
@@ -278,7 +278,7 @@ def instantiate_term(term: Term, env: Env) -> None:
 
 
 def build(value: Any, path: str) -> Any:
-    """Replace each ``_target_`` node in a parameter by the result of its call, the innermost nodes first.
+    """Replace each ``_target_`` node in a parameter by the result of the node's call, the innermost nodes first.
 
     OmegaConf interpolations are not resolved, because the config is already composed.
     """
@@ -290,7 +290,7 @@ def build(value: Any, path: str) -> Any:
 
 
 def _built(value: Any, path: str) -> Any:
-    """Copy a parameter; the result of its call replaces each ``_target_`` node. A curriculum may change the copy."""
+    """Copy a parameter, which a curriculum may change; the result of its call replaces each ``_target_`` node."""
     if isinstance(value, (list, tuple)):
         return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
     if not isinstance(value, Mapping):
@@ -341,7 +341,7 @@ class ManagerBase(OfEnv, Kept):
         return list(self._terms.values())
 
     def find_terms(self, name_keys: str | Sequence[str]) -> list[str]:
-        """Return the names of the terms that match regular expressions; raise ConfigError if one matches no term."""
+        """Return the names of the terms that expressions match; raise ConfigError if an expression matches no term."""
         return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
 
     def set_term_cfg(self, name: str, cfg: Any) -> None:
@@ -388,7 +388,7 @@ class ManagerBase(OfEnv, Kept):
                     remembers.reset(env_ids)
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
-        """Return the table cells that are printed between a term's name and the term's target."""
+        """Return the cells that a printed table of terms has between a term's name and the term's target."""
         del term
         return ()
 
@@ -403,7 +403,7 @@ def _remembers(func: Any) -> bool:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a plain-text table with a title."""
+    """Return a table with a title as plain text."""
     grid = Table(title=title, title_justify="left", box=SIMPLE, title_style="")
     for column in columns:
         grid.add_column(column)

@@ -1,7 +1,7 @@
-"""Detect NaN and inf, name the term that produced them, and save the state that led to them.
+"""Detect NaN and inf, name the manager term that produced NaN or inf, and save the state that led to it.
 
-Each control step checks only whether the sum of all values is finite. If the sum of all values is not finite, the
-single values are checked.
+Each control step checks only whether the sum of all rewards or observations is finite. If the sum of all rewards or
+observations is not finite, each value is checked.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ POLICY = "agent.actor"
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
-    """Return whether a tensor's sum suggests NaN or inf. The sum of large finite elements can be inf."""
+    """Return whether a tensor's sum suggests NaN or inf. The sum of large finite elements of a tensor can be inf."""
     return not is_finite(functools.reduce(torch.add, sums))
 
 
@@ -34,10 +34,10 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 
 
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
-    """Report which terms produced NaN or inf in this step, and the state of the failed environments ``env_ids``.
+    """Report which terms produced NaN or inf in the present step, and the state of the failed environments ``env_ids``.
 
-    The result has ``keys``, the config keys of the failed terms by environment, and ``evidence``, the result of the
-    function ``evidence``. If the physics failed, the result names only the physics, because NaN in the physics causes
+    The report has ``keys``, the config keys of failed terms by environment, and ``evidence``, the result of the
+    function ``evidence``. If the physics failed, the report names only the physics, because NaN in the physics causes
     NaN in terms.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
@@ -55,7 +55,7 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
     The tensor ``state`` is the present state of the engine. ``motion_at_start`` has the positions and velocities at the
     start of the control step, because the engine has already reset a failed simulation. ``model.<field>`` is a field of
-    the MuJoCo model that an event changed. The caller can add more tensors (N, ...) by name.
+    the MuJoCo model that an event changed. The caller can add tensors (N, ...) to the report by name.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -106,7 +106,7 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
     """Raise SimulationFailure if observations contain NaN or inf.
 
     The error names the first observation term with NaN or inf. ``only`` (N,) bool selects environments. ``is_noted``
-    means that ``note_observations`` was called for the present observations.
+    says whether ``note_observations`` was called for the present observations.
     """
     if is_noted and is_calm(env.device):
         return
@@ -136,7 +136,7 @@ def require_finite_actions(env: Env, actions: torch.Tensor) -> None:
 
 
 def failure(env: Env, key: str, what: str, ids: torch.Tensor, **more: torch.Tensor) -> SimulationFailure:
-    """Return the error for NaN or inf, with the state of the environments in which they occurred."""
+    """Return the error for NaN or inf, with the state of the environments in which NaN or inf occurred."""
     first = ", ".join(str(i) for i in ids[:3].tolist()) + (", …" if len(ids) > 3 else "")
     message = f"{what} in {len(ids)} of {env.num_envs} environments ({first}), control step {env.common_step_counter}"
     found = evidence(env, ids, **more) if hasattr(env, "reward_manager") else {}

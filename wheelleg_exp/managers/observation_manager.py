@@ -18,7 +18,7 @@ from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.config_sections import read_section
 
-_SLICE = 100  # memory of a Python slice object with two numbers, bytes
+_SLICE = 100  # the memory of a Python slice object with two numbers, bytes
 
 
 class ObservationManager(Kept):
@@ -36,7 +36,7 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # True if masks, whose shape is fixed, select rows instead of ids
+        self.in_masks = False  # True if masks, whose shape is fixed, select the environments instead of ids
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
@@ -101,14 +101,14 @@ class ObservationManager(Kept):
         return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:
-        """Sample all observation terms with a delay; called between two physics steps of a control step."""
+        """Sample all observation terms with a delay; the environment calls this method between two physics steps."""
         for term in self._late:
             term.sample_between()
 
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
-        """Return the observation of every group, and advance noise, modifiers, and histories.
+        """Return the observation of every group, and advance the terms' noise, modifiers, and histories.
 
-        With a mask ``only`` (N,) bool, noise, modifiers, and histories advance only in the environments of the mask.
+        With a mask ``only`` (N,) bool, noise, modifiers, and histories advance only in its environments.
         """
         before = None if only is None else self.state_dict()
         first, values = self._first_ids(), Values()
@@ -128,7 +128,7 @@ class ObservationManager(Kept):
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:
-        """Return the observations without noise; do not change any state."""
+        """Return the observations of all groups without noise; do not change any state."""
         first = self._first_ids()
         found: dict[str, Group] = {}
         for group, terms in self._groups.items():
@@ -262,7 +262,7 @@ class ObservationManager(Kept):
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
     """Raise ConfigError if the observation histories do not fit into memory.
 
-    The error names the config key ``key``, or if it is empty, the term with the longest history.
+    The ConfigError names the config key ``key``, or if ``key`` is empty, the term with the longest history.
     """
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]

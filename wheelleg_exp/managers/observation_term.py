@@ -22,7 +22,7 @@ from wheelleg_exp.terms.term_errors import failure
 
 @dataclass
 class Values:
-    """Observation values of the present step, by the term that computed the value first.
+    """Observation values of the present control step, by the observation term that computed the value first.
 
     Attributes:
         raw: results of the functions.
@@ -34,9 +34,9 @@ class Values:
 
 
 class ObservationTerm(Kept):
-    """One observation term. The order is ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
+    """One observation term, computed in the order ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
-    ``corrupt`` is the setting of the observation group that enables noise. A ``history_length`` of 0 means no history.
+    ``corrupt`` is the setting of the observation group that enables noise. ``history_length`` 0 means no history.
     """
 
     outside_graphs = ("_part_forms", "width", "shape", "sample_shape", "history_length", "_flatten", "_same_sample")
@@ -89,9 +89,9 @@ class ObservationTerm(Kept):
             self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
 
     def share(self, others: Iterable[ObservationTerm]) -> None:
-        """Reuse the value of a term of another group that calls the same function with the same parameters.
+        """Reuse the value of an observation term in another group that calls an equal function with equal parameters.
 
-        Terms with state and terms that draw random numbers are not shared.
+        Values of terms with state, and of terms that draw random numbers, are not reused.
         """
         term = self.term
         if term.stateful is not None or term.generator is not None:
@@ -104,7 +104,7 @@ class ObservationTerm(Kept):
                 return
 
     def _processes_as(self) -> Any:
-        """Return clip and scale of the observation term, to compare two terms.
+        """Return clip and scale of the observation term in a form that can be compared.
 
         A term with state, random draws, or tensors is never equal to another term.
         """
@@ -122,9 +122,9 @@ class ObservationTerm(Kept):
         return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
-        """Draw noise, advance delay and modifiers, and return the sample (N, ...).
+        """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
 
-        The sample is also stored in ``values``, so that other terms can reuse it.
+        The sample is stored in ``values``, so that other observation terms can reuse the sample.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -142,12 +142,12 @@ class ObservationTerm(Kept):
         return sample
 
     def sample_between(self) -> None:
-        """Sample a term that has a delay; called between two physics steps of a control step."""
+        """Sample an observation term that has a delay; called between two physics steps of a control step."""
         assert self.delay is not None
         self.delay.push(self.term(self._env))
 
     def peek(self) -> torch.Tensor:
-        """Return the sample of the term without noise; do not change any state."""
+        """Return the sample of the observation term without noise; do not change any state."""
         owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
         states = [owner.state_dict() for owner in owners]
         stream = None if self.term.generator is None else self.term.generator.get_state()

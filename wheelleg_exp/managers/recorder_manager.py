@@ -17,13 +17,13 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 Recorded = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
 Arrays = dict[str, np.ndarray]
-_SUCCESS = "success"  # name of the termination that makes an episode a success
+_SUCCESS = "success"  # the name of the termination that makes an episode a success
 _OWN = ("episode", "rows")  # reserved prefixes of keys that describe episodes
 _FIRST_ROOM = 64  # rows
 
 
 class Rows:
-    """Stores the rows (N, …) of one recorded quantity. A row is deleted once it belongs to no current episode."""
+    """Stores the rows (N, …) of one recorded quantity; a row is deleted once it belongs to no current episode."""
 
     def __init__(self, num_envs: int) -> None:
         self._num_envs = num_envs
@@ -56,7 +56,7 @@ class Rows:
         return self._rows[self._starts[env_id] : self._count, env_id]
 
     def begin(self, ids: np.ndarray) -> None:
-        """Start new episodes of the environments ``ids``. Older rows do not belong to the new episodes."""
+        """Start new episodes of the environments ``ids``. Rows recorded earlier do not belong to the new episodes."""
         self._starts[ids] = self._count
 
     def _make_room(self, value: np.ndarray) -> None:
@@ -69,9 +69,9 @@ class Rows:
 
 
 def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays (rows, …) that a hook returned, by key; arrays of a mapping have the keys ``key/name``.
+    """Yield the arrays (rows, …) that a recorder's hook returned, by key; arrays of a mapping have keys ``key/name``.
 
-    ``source`` describes the hook in error messages, and ``code`` is the hook function.
+    ``source`` describes the recorder's hook in error messages, and ``code`` is the function of the hook.
     """
     found = described(returned)
     if isinstance(returned, tuple) and len(returned) == 2:
@@ -98,10 +98,10 @@ def _flatten(key: Any, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 class RecorderTerm(TermBase):
-    """Records quantities by key. A subclass overrides only the hooks that it needs.
+    """Records quantities by key. A subclass of the recorder class overrides only the hooks that the subclass needs.
 
-    A hook returns a key and a tensor with one row for each environment, or a key and a mapping of such tensors; the
-    mapping's keys are appended with ``/``. A hook without data returns None and None.
+    A hook returns a key and a tensor with one row for each environment, or a key and a mapping of tensors, whose keys
+    are appended with ``/``. A recorder's hook that has no data returns None and None.
 
     Attributes:
         reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before the
@@ -166,7 +166,7 @@ class RecorderManager(ManagerBase):
         self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = {}
 
     def record_pre_step(self) -> None:
-        """Call all recorders before the action is applied."""
+        """Call all recorders before the environment applies the action."""
         self._append("record_pre_step")
 
     def record_post_physics_decimation_step(self) -> None:

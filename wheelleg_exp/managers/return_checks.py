@@ -1,4 +1,4 @@
-"""Check that the return value of a term has the required form. The error message states what to return.
+"""Check that the return value of a term has the required form. The error message states which value a term must return.
 
 After the first call of a term, type, shape, and device of the return value are checked. After later calls of a term,
 only the shape of the return value is checked.
@@ -22,7 +22,7 @@ class Form(Protocol):
     """Base class of the required forms of a term's return value."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a fast check is enough to show that ``value`` is valid. If not, ``check`` decides."""
+        """Return whether a fast check shows that the return value ``value`` is valid. If not, ``check`` decides."""
 
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError without a key if ``value`` is invalid; ``source`` names the function that returned it."""
@@ -124,7 +124,7 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 
 @dataclass
 class NoForm:
-    """The required form for a term without a return value. Managers ignore return values of such a term."""
+    """The required form for a term without a return value; managers ignore what the term returns."""
 
     def fits(self, value: Any) -> bool:
         return value is None

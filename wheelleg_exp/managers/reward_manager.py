@@ -14,7 +14,7 @@ from wheelleg_exp.sim.ids import not_finite
 
 
 class RewardManager(ManagerBase):
-    """The formula is ``reward = sum over terms of value * weight * dt``. A reward term with weight 0 is not called.
+    """The reward is the ``sum over terms of value * weight * dt``. A reward term with weight 0 is not called.
 
     Attributes:
         step_reward: weighted value of each term in this step, per second, (terms, N).
@@ -45,7 +45,7 @@ class RewardManager(ManagerBase):
             self._read_weights()
 
     def compute(self, dt: float, skipped: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the reward (N,) of this step. The result is the ``sum over terms of value * weight * dt``.
+        """Return the reward (N,) of a control step, which is the ``sum over terms of value * weight * dt``.
 
         ``dt`` is the duration of the control step, s. The reward of the environments in the mask ``skipped`` (N,) bool
         is 0.
@@ -70,7 +70,7 @@ class RewardManager(ManagerBase):
         self._factors = self.step_reward.new_tensor(self._weights).unsqueeze(1)
 
     def exclude(self, env_ids: torch.Tensor) -> None:
-        """Store in ``non_finite`` the terms with NaN or inf in ``env_ids``, and set the NaN and inf values to 0."""
+        """Store in ``non_finite`` which reward terms are NaN or inf in ``env_ids``; set NaN and inf values to 0."""
         self._raw_values = self.step_reward.clone()
         for env_id in env_ids.tolist():
             bad = (~self.step_reward[:, env_id].isfinite()).tolist()
@@ -79,7 +79,7 @@ class RewardManager(ManagerBase):
 
     @property
     def raw_values(self) -> torch.Tensor:
-        """The rewards of this step per term, (terms, N), including NaN and inf."""
+        """The rewards of the present control step per term, (terms, N), including NaN and inf."""
         return self._raw_values if self.non_finite else self.step_reward
 
     @property

@@ -1,6 +1,6 @@
 """Store histories of the last observation samples, oldest first, and delay observations.
 
-Each append creates a new tensor, so that returned histories never change. The first sample of an episode fills the
+Each new sample creates a new tensor, so that returned histories never change. The first sample of an episode fills the
 whole history, as in Isaac Lab. ``first`` names the environments where the sample is the first of an episode: ids, a
 mask (N,) bool, or None.
 """
@@ -49,8 +49,8 @@ class HistoryBuffer:
 class RowHistory:
     """Histories of several terms in one row for each environment: term by term, each oldest first.
 
-    ``widths`` are the numbers of elements in one sample of each term. A length of 0 or 1 in ``lengths`` means that only
-    the newest sample is stored.
+    ``widths`` has the number of elements in one sample of each observation term. A history length of 0 or 1 in
+    ``lengths`` means that only the newest sample is stored.
     """
 
     def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
@@ -72,7 +72,7 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the row that ``append`` would return. For fewer samples, return only the first terms."""
+        """Return the row that ``append`` would return; for k samples, return the columns of the first k terms."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -97,7 +97,7 @@ class RowHistory:
 
 
 class RowHistoryPart:
-    """One term's history in a ``RowHistory``. The state dict has the same form as that of a ``HistoryBuffer``."""
+    """One term's history in a ``RowHistory``, with a state dict in the form of a ``HistoryBuffer``'s state dict."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
         self._row, self._span, self._width = row, span, width
@@ -111,7 +111,7 @@ class RowHistoryPart:
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        self._row.values = self._row.values.clone()  # copy the row, because a caller may still use the old tensor
+        self._row.values = self._row.values.clone()  # copy the row, because a caller may hold the old tensor
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 

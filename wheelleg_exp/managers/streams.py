@@ -47,7 +47,7 @@ class Streams(Kept):
         return {"seed": self._seed, "generators": generators}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        self.reseed(saved["seed"])  # streams that the saved state lacks start from the seed
+        self.reseed(saved["seed"])  # random streams that the saved state lacks start from the seed
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Env(Protocol):
-    """The attributes and methods of the environment that terms use. Isaac Lab defines their names and meanings.
+    """The attributes and methods of the environment that terms use.
 
     Attributes:
         cfg: the composed ``env`` section, by attribute or key.
@@ -96,7 +96,7 @@ class SceneEntityCfg:
     preserve_order: bool = False
 
     def resolve(self, scene: Scene, path: str = "SceneEntityCfg") -> None:
-        """Find the indices of the selected joints and bodies in the scene. Errors name the config key ``path``."""
+        """Find the indices of the selected joints and bodies; raised errors name the config key ``path``."""
         entity = member(scene, self.name, f"{path}.name")
         if self.joint_names is not None:
             if not hasattr(entity, "find_joints"):
@@ -116,12 +116,12 @@ class SceneEntityCfg:
                 raise ConfigError(f"'{self.name}' does not support '{name}'", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the selected bodies. After a call of ``resolve``, the host does not wait for a GPU."""
+        """Return the indices of the selected bodies, after a call of ``resolve`` without waiting for a GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
     def selects_as(self, other: SceneEntityCfg) -> bool:
-        """Return whether another entity names the same joints and bodies in the same order."""
+        """Return whether another entity selects the same joints and bodies in the same order as this entity."""
         names = ("name", "joint_names", "body_names", "preserve_order")
         return all(getattr(self, name) == getattr(other, name) for name in names)
 
@@ -135,7 +135,7 @@ def member(scene: Scene, name: str, key: str) -> Any:
 
 
 def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
-    """Return ids as a tensor or a slice. Negative indices count from the end (``count``)."""
+    """Return ids as a tensor or a slice; negative indices count from the end of ``count`` joints or bodies."""
     if isinstance(ids, (torch.Tensor, slice)):
         return ids
     return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)

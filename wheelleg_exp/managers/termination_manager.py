@@ -50,7 +50,7 @@ class TerminationManager(ManagerBase):
         return self.terminated | self.time_outs
 
     def get_term(self, name: str) -> torch.Tensor:
-        """Return a mask (N,) of the environments in which a termination term fired in this step."""
+        """Return a mask (N,) of the environments in which a termination term fired in the present control step."""
         self.get_term_cfg(name)
         return self.fired[self.active_terms.index(name)]
 
@@ -103,6 +103,6 @@ class TerminationManager(ManagerBase):
 
 
 def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
-    """Count environments by the joined names of the terms that fired in the same step, given flags (T, n)."""
+    """Count environments by the joined names of the termination terms that fired in one step, given flags (T, n)."""
     columns = fired.T.tolist()
     return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

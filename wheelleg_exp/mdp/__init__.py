@@ -1,4 +1,4 @@
-"""The library of predefined manager terms, which tasks select in YAML.
+"""The library of predefined manager terms, which task configs in YAML select.
 
 | module | what it offers |
 |---|---|

@@ -1,7 +1,7 @@
 """Action terms: the targets that a policy's output sets.
 
-An action term multiplies the raw action by a scale, adds an offset, and clips the sum to get the joint target. The
-field ``delay`` of an action term delays the term's targets by a number of physics steps.
+An action term multiplies the policy's raw action by a scale, adds an offset, and clips the sum to get a joint target.
+The field ``delay`` of an action term delays the term's targets by a number of physics steps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
 
 
 class JointTerm(ActionTerm):
-    """Base class of actions on joints. ``drives`` names the kind of joint target: position, velocity, or effort.
+    """Base class of joint actions; ``drives`` names the kind of the joint targets: position, velocity, or effort.
 
     Args:
         joint_names: expressions of the driven joints.
@@ -54,7 +54,7 @@ class JointTerm(ActionTerm):
         self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Set the raw actions of ``env_ids`` to zero. As in Isaac Lab, the processed actions do not change."""
+        """Set the raw actions of ``env_ids`` to zero; as in Isaac Lab, the processed actions do not change."""
         self.raw_actions.index_fill_(0, env_ids, 0.0)
 
     def _set_targets(self) -> None:
@@ -104,11 +104,11 @@ class JointAction(JointTerm):
 
 
 class _DefaultOffsetAction(JointAction):
-    """A joint action whose offset can be the joints' default positions or velocities."""
+    """An affine joint action whose offset can be the joints' default positions or velocities."""
 
     @property
     def applies_once(self) -> bool:
-        """Whether targets are set only once per control step; a user-defined subclass may set them more often."""
+        """Whether the term sets joint targets once per control step; a subclass may set them at every physics step."""
         return type(self).__module__ == __name__
 
     def __init__(
@@ -144,7 +144,7 @@ class JointPositionAction(_DefaultOffsetAction):
 
 
 class RelativeJointPositionAction(JointAction):
-    """Position targets relative to the current joint positions, which are read at each physics step.
+    """Joint position targets relative to the present joint positions, which are read at each physics step.
 
     Args:
         scale: rad per unit of action.
@@ -175,7 +175,7 @@ class RelativeJointPositionAction(JointAction):
 
 
 class JointVelocityAction(_DefaultOffsetAction):
-    """Velocity targets of joints, rad/s. The velocity targets are also clipped to the actuator's velocity limit.
+    """Velocity targets of joints, rad/s. Joint velocity targets are clipped to the actuators' velocity limits.
 
     Args:
         scale: rad/s per unit of action.
@@ -204,7 +204,7 @@ class JointEffortAction(JointAction):
 class JointPositionToLimitsAction(JointTerm):
     """Position targets: the clipped ``raw * scale`` is mapped from [-1, 1] to the joints' soft limits.
 
-    Unlike in Isaac Lab, ``preserve_order`` also has an effect if the action term drives all joints.
+    Unlike in Isaac Lab, ``preserve_order`` has an effect even if the action term drives all joints.
 
     Args:
         scale: factor on the raw action; a number, or one by joint expression.
@@ -250,10 +250,10 @@ class JointPositionToLimitsAction(JointTerm):
 
 
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
-    """A ``JointPositionToLimitsAction`` with smoothed targets, ``target = alpha * new + (1 - alpha) * last``.
+    """A ``JointPositionToLimitsAction`` with smoothed joint targets, ``target = alpha * new + (1 - alpha) * last``.
 
-    The joint targets are clamped to the joints' soft limits. In the first step of an episode, ``last`` is the joint
-    positions.
+    The smoothed joint targets are clamped to the joints' soft limits. In the first step of an episode, ``last`` has the
+    present joint positions.
 
     Args:
         alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.
@@ -318,7 +318,7 @@ class BinaryJointAction(JointTerm):
         self._clip()
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return for each raw action (N, 1) whether the joints open."""
+        """Return a mask (N, 1) of the environments whose raw action (N, 1) opens the joints."""
         return ~(actions < 0.0)
 
     def _command(self, values: Mapping[str, float], key: str) -> torch.Tensor:
@@ -368,5 +368,5 @@ class AbsBinaryJointPositionAction(BinaryJointPositionAction):
         self._threshold, self._positive = threshold, positive_threshold
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return for each raw action (N, 1) whether the joints open."""
+        """Return a mask (N, 1) of the environments whose raw action (N, 1) opens the joints."""
         return actions > self._threshold if self._positive else actions < self._threshold

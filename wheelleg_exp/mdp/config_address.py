@@ -1,4 +1,4 @@
-"""Read and write an environment's settings by address, such as ``commands.base_velocity.ranges.lin_vel_x[1]``."""
+"""Read and write an environment's settings by addresses such as ``commands.base_velocity.ranges.lin_vel_x[1]``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset
 
 
 def parse(address: str) -> tuple[Part, ...]:
-    """Split an address into names and indices: ``a.b[2].c`` becomes ('a', 'b', 2, 'c')."""
+    """Split an address into names and indices: The address ``a.b[2].c`` becomes ('a', 'b', 2, 'c')."""
     parts: list[Part] = []
     for text in address.split("."):
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
@@ -32,21 +32,21 @@ def parse(address: str) -> tuple[Part, ...]:
 
 
 def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
-    """Return the value at an address, which is relative to ``root``."""
+    """Return the value of the setting at an address relative to the object ``root``."""
     for part in parts:
         root = _below(root, part)
     return root
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address points into a manager term; terms save changes of their own settings."""
+    """Return whether an address points to a setting of a manager term; terms save changes of their own settings."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
-    """Set the value at an address below ``root``.
+    """Set the value of the setting at an address relative to the object ``root``.
 
-    A tuple that contains the value is replaced by a new tuple, and term objects update their constructor arguments.
+    A tuple that contains the setting is replaced by a new tuple, and term objects update their constructor arguments.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -69,7 +69,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
 
 
 def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
-    """Raise ConfigError if an address does not exist, or if a new value at the address would have no effect."""
+    """Raise ConfigError if a setting's address does not exist, or if a new value there would have no effect."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):

@@ -1,4 +1,4 @@
-"""Curriculum terms: settings that change while a policy learns. Each curriculum term returns values for the log."""
+"""Curriculum terms, which change settings while a policy learns, and return values for the training log."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from wheelleg_exp.terms.term_binding import resolve_target
 
 
 def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
-    """Set a reward's weight after ``num_steps`` control steps (``common_step_counter``); return the current weight."""
-    del env_ids  # all environments share the step counter and the weight
+    """Set a reward term's weight after ``num_steps`` control steps of training; return the present weight."""
+    del env_ids  # all environments share the step counter and the reward weight
     term = env.reward_manager.get_term_cfg(term_name)
     if env.common_step_counter > num_steps:
         term.fields["weight"] = weight
@@ -33,16 +33,16 @@ _MANAGERS = {section: f"{section.removesuffix('s')}_manager" for section in _SEC
 
 
 class modify_env_param(TermBase):
-    """Call a function that changes the value at an address below the environment; log the value if it is a number.
+    """Call a function that changes an environment's setting, given by its address; log the setting if it is a number.
 
     The address is dotted, with ``[i]`` for list elements: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``.
-    A checkpoint saves and restores the changed value with the environment.
+    A checkpoint saves and restores the changed setting with the environment.
 
     Args:
         address: address of the value.
         modify_fn: dotted name of the function, or a node that builds the function, such as one of
             ``wheelleg_exp.mdp.schedules``. The function receives the environment, the ids of the environments that
-            reset now, the current value, and ``modify_params``. The function returns the new value, or
+            reset, the setting's value, and ``modify_params``. The function returns the setting's new value, or
             ``modify_env_param.NO_CHANGE``.
         modify_params: further arguments of the function, by name.
     """
@@ -75,14 +75,14 @@ class modify_env_param(TermBase):
         self._has_written, self._value = False, None
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
-        """Split the address of a setting of the environment into its names and indices."""
+        """Split the address of a setting of the environment into the address's names and indices."""
         return parse(address)
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> float | None:
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy the value, because a checkpoint cannot restore a list that is shared with modify_params.
+            # Copy the setting's value, because a checkpoint cannot restore a list that is shared with modify_params.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -122,11 +122,11 @@ _ROBOT = SceneEntityCfg("robot")
 def terrain_levels_vel(
     env: Env, env_ids: torch.Tensor, asset_cfg: SceneEntityCfg = _ROBOT, command_name: str = "base_velocity"
 ) -> torch.Tensor:
-    """Move robots to harder or easier terrain tiles by the distance covered in an episode; return the mean level.
+    """Move robots to harder or easier terrain tiles by the distance covered in the episode; return the mean level.
 
     A robot moves to a harder tile if its distance from the tile's centre exceeds half the tile's length along x. A
     robot moves to an easier tile if it covered less than half of the distance that its last command demands in a
-    full-length episode. The term has no effect on ground without tiles.
+    full-length episode. On ground without tiles, the curriculum has no effect.
     """
     terrain = env.scene.terrain
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
@@ -148,7 +148,7 @@ _Limits = dict[str, tuple[float, float]]
 
 
 def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits) -> Iterator[ConfigError]:
-    """Yield an error for each axis in the limits whose range in the command is missing or exceeds the limit."""
+    """Yield an error for each axis in ``limit_ranges`` whose range in the command is missing or exceeds its limit."""
     for axis, (lowest, highest) in limits.items():
         key, pair = f"limit_ranges.{axis}", ranges.get(axis)
         if pair is None:
@@ -161,13 +161,13 @@ def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits)
 
 
 class command_range_levels(TermBase):
-    """Widen the ranges of a command whenever the robots track the command well; return the ranges' upper bounds.
+    """Widen the ranges of a command whenever the robots track the command well; return the upper bounds of the ranges.
 
     A ratio measures tracking: the sum of a tracking reward over an episode, divided by the sum that perfect tracking
-    gives in a full-length episode. Therefore early falls lower the ratio. The mean tracking ratio is evaluated at most
-    once per full episode length. If the mean tracking ratio is above ``threshold``, every range grows by ``step`` on
-    both sides, up to ``limit_ranges``. Isaac Lab's library does not have this curriculum; some projects have it as
-    ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
+    gives in a full-length episode. The mean tracking ratio is evaluated at most once per full episode length. If the
+    mean ratio exceeds ``threshold``, every command range grows by ``step`` on both sides, up to ``limit_ranges``. Isaac
+    Lab's library does not have this curriculum; some projects have it as ``lin_vel_cmd_levels`` or
+    ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
@@ -221,14 +221,15 @@ _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # the components of a velocity 
 class command_levels_by_skill(TermBase):
     """Widen the ranges of a velocity command on the axes that the robots track well; return upper bounds and skills.
 
-    Each axis is evaluated separately over at least ``min_episodes`` finished episodes. Only steps with a command on the
-    axis count. The skill is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e, and
-    still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. For any ranges and std,
-    the tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A failed episode counts as a
-    full-length episode, with a tracking score of 0 in all steps after the failure. After ``passes`` evaluations in a
-    row with S >= ``threshold``, the range grows by ``step`` on both sides. Later evaluations ignore episodes that
-    started before this growth. If a range below its limit has not grown in ``patience`` evaluations, the log value
-    ``<axis>_stuck`` is 1, and training warns.
+    Each axis of the command is evaluated separately, over at least ``min_episodes`` finished episodes. Only control
+    steps in which the command on the axis is not zero count. The skill is S = (score - still) / (1 - still): score is
+    the mean of exp(-e²/std²) for the error e, and still is the score of a robot that never moves, the mean of
+    exp(-c²/std²) for the command c. For any ranges and std, the tracking skill S is 0 for a robot that stands still,
+    and 1 for perfect tracking. A failed episode counts as a full-length episode, with a tracking score of 0 in all
+    steps after the failure. After ``passes`` evaluations in a row with a tracking skill of at least ``threshold``, the
+    range grows by ``step`` on both sides. Evaluations ignore episodes that started before a range's last growth. If a
+    range below its limit has not grown in ``patience`` evaluations, ``<axis>_stuck`` in the log is 1, and training
+    warns.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
@@ -273,7 +274,7 @@ class command_levels_by_skill(TermBase):
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
         self._sums = torch.zeros(shape, device=env.device)  # sums over an episode: score, score at rest, steps
-        self._total = torch.zeros(shape[:2], device=env.device)  # the sums over all finished episodes
+        self._total = torch.zeros(shape[:2], device=env.device)  # the sums of the scores over all finished episodes
         # A mask of the environments whose episode started after the last growth of a range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
@@ -283,7 +284,7 @@ class command_levels_by_skill(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add the values of this control step to the sums over the present episodes."""
+        """Add the tracking values of the present control step to the sums over the present episodes."""
         data = self._env.scene[self._asset].data
         command = self._env.command_manager.get_command(self._command)
         velocity = torch.cat((data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2:]), dim=1)
@@ -300,7 +301,7 @@ class command_levels_by_skill(TermBase):
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # the score is 0 in the steps that a failed episode lacks
+        sums[1:] *= rest  # the tracking score is 0 in the steps that a failed episode lacks
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
@@ -317,7 +318,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # no step had a command on this axis
+            if steps - still <= 0.0:  # no control step had a command on this axis
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -335,16 +336,16 @@ class command_levels_by_skill(TermBase):
 
 
 class terrain_levels_by_distance(TermBase):
-    """Move robots to harder or easier terrain tiles by the distance covered along their commands; return tile levels.
+    """Move robots to harder or easier terrain tiles by the distance that they covered along commands; return levels.
 
     The covered distance of an episode is the time integral of the velocity component along the command's direction, in
-    level axes that turn with the robot. The covered distance is divided by the commanded distance. If an episode fails,
-    its commanded distance is extrapolated to a full-length episode. A robot moves to a harder tile if this distance
-    ratio is at least ``up``, and to an easier tile if the distance ratio is at most ``down``. A robot with a commanded
-    distance below ``min_distance`` does not move, except to an easier tile after a failed episode. A robot that passes
-    the hardest row of tiles moves to a random row. The term has no effect on ground without tiles. If the mean tile
-    level is in the lower half and has not increased for ``patience`` full-length episodes, the log value ``stuck`` is
-    1, and training warns.
+    level axes that turn with the robot. The distance ratio of an episode is the covered distance divided by the
+    commanded distance. The commanded distance of a failed episode is extrapolated to a full-length episode. A robot
+    moves to a harder tile if its distance ratio is at least ``up``, and to an easier tile if the ratio is at most
+    ``down``. A robot with a commanded distance below ``min_distance`` does not move, except to an easier tile after a
+    failed episode. A robot that passes the hardest row of tiles moves to a random row. On ground without tiles, the
+    curriculum has no effect. If the mean tile level is in the lower half and has not increased for ``patience``
+    full-length episodes, the log value ``stuck`` is 1, and training warns.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.
@@ -375,7 +376,7 @@ class terrain_levels_by_distance(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add the values of this control step to the sums over the present episodes."""
+        """Add the tracking values of the present control step to the sums over the present episodes."""
         command = self._env.command_manager.get_command(self._command)[:, :2]
         speed = torch.linalg.vector_norm(command, dim=1)
         forwards, sideways = level_velocity(self._env.scene[self._asset].data)

@@ -1,4 +1,4 @@
-"""Modifiers that transform an observation before noise is added."""
+"""Modifiers that transform an observation before noise is added to it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from wheelleg_exp.state import Stateful
 
 
 class Modifier(Stateful):
-    """A function of an observation. Attributes can store past values, and are saved in checkpoints."""
+    """A function of an observation, whose attributes can store past values and are saved in checkpoints."""
 
     def start(self, sample: torch.Tensor) -> None:
-        """Allocate tensors for past values of the observation, in the shape of the sample."""
+        """Allocate tensors for past values of the observation, in the shape of its sample (N, ...)."""
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         raise NotImplementedError
@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # a tuple, because tensor attributes would be saved as state
+        self._coefficients = (feedback, forward)  # stored as a tuple, because tensor attributes would be saved as state
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 
@@ -93,7 +93,7 @@ class DigitalFilter(Modifier):
 
 
 class Integrator(Modifier):
-    """Integrate an observation by the trapezoidal rule. In each control step, I += (x + x_previous) / 2 * dt.
+    """Integrate an observation x: in each control step, the integral grows by (x + x_previous) / 2 * dt.
 
     Args:
         dt: time between two observations, s.

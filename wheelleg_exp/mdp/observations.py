@@ -25,32 +25,32 @@ def base_pos_z(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def base_height(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Height of the root link above the ground, m. Isaac Lab does not have this term."""
+    """Height of the root link above the ground, m."""
     return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w).unsqueeze(1)
 
 
 def base_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Velocity of the root body's centre of mass in link axes, m/s."""
+    """Velocity of the root body's centre of mass in the axes of the root link, m/s."""
     return env.scene[asset_cfg.name].data.root_lin_vel_b
 
 
 def base_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Angular velocity of the root link in link axes, rad/s."""
+    """Angular velocity of the root link in the axes of the root link, rad/s."""
     return env.scene[asset_cfg.name].data.root_ang_vel_b
 
 
 def root_link_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Velocity of the root link's origin in link axes, m/s."""
+    """Velocity of the root link's origin in the axes of the root link, m/s."""
     return env.scene[asset_cfg.name].data.root_link_lin_vel_b
 
 
 def projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Unit gravity direction in link axes; upright is (0, 0, -1)."""
+    """Unit vector of gravity in the axes of the root link; (0, 0, -1) for an upright robot."""
     return env.scene[asset_cfg.name].data.projected_gravity_b
 
 
 def base_roll_pitch(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Roll and pitch of the root link, rad, with R = Rz(yaw) Ry(pitch) Rx(roll). Isaac Lab does not have this term."""
+    """Roll and pitch of the root link, rad, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
     return torch.stack(roll_pitch(env.scene[asset_cfg.name].data), dim=1)
 
 
@@ -60,7 +60,7 @@ def root_pos_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def root_quat_w(env: Env, make_quat_unique: bool = False, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Orientation of the root link (w, x, y, z); with ``make_quat_unique``, the component w is not negative."""
+    """Orientation of the root link (w, x, y, z); with ``make_quat_unique``, w is not negative."""
     quat = env.scene[asset_cfg.name].data.root_quat_w
     return torch.where(quat[:, 0:1] < 0, -quat, quat) if make_quat_unique else quat
 
@@ -84,7 +84,7 @@ def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = Tru
 def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
     """Joint positions (as in ``joint_pos``) minus the default joint positions, rad.
 
-    The joint angle of a rolling wheel grows without bound.
+    The joint angle of a rolling wheel can become arbitrarily large.
     """
     data = env.scene[asset_cfg.name].data
     return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
@@ -112,7 +112,7 @@ class joint_pos_limit_normalized(TermBase):
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sines of all joint positions, followed by all cosines. Sines and cosines are bounded also for wheels."""
+    """Sines, then cosines, of all joint positions; unlike angles, both are bounded for rolling wheels."""
     angle = joint_pos(env, asset_cfg)
     return torch.cat((torch.sin(angle), torch.cos(angle)), dim=1)
 
@@ -129,7 +129,7 @@ def joint_vel_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def joint_acc(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Joint accelerations over the last physics step, rad/s^2; 0 right after a reset. Not in Isaac Lab."""
+    """Accelerations of the joints over the last physics step, rad/s^2; 0 right after a reset. Not in Isaac Lab."""
     return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids)
 
 
@@ -149,7 +149,7 @@ def body_pose_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def body_projected_gravity_b(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Unit gravity direction in the axes of each of B links, (N, 3 B)."""
+    """Unit vector of gravity in the axes of each of B links, (N, 3 B)."""
     data = env.scene[asset_cfg.name].data
     gravity = rotation.rotate(data.root_rot_w, data.projected_gravity_b)
     turned = torch.matmul(gravity.view(-1, 1, 1, 3), picked(data.body_rot_w, asset_cfg.body_ids))
@@ -161,9 +161,9 @@ _CAMERA = SceneEntityCfg("tiled_camera")
 
 
 def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> torch.Tensor:
-    """Height of a ray caster above the hit points of its rays, minus ``offset``, m, (N, rays).
+    """Heights of a ray caster above the hit points of its rays, minus ``offset``, m, (N, rays).
 
-    A ray that hits nothing gives minus infinity, so the observation needs a ``clip``.
+    A ray that hits nothing gives minus infinity, so this observation term needs a ``clip``.
     """
     data = env.scene[sensor_cfg.name].data
     return data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
@@ -175,7 +175,7 @@ def imu_orientation(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
 
 
 def imu_projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
-    """Unit gravity direction in an IMU's axes; upright is (0, 0, -1)."""
+    """Unit vector of gravity in the axes of an IMU; (0, 0, -1) for an upright IMU."""
     return env.scene[asset_cfg.name].data.projected_gravity_b
 
 
@@ -196,12 +196,12 @@ def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative =
 
 
 def body_contact_forces(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Net normal contact force on each of B bodies, N, world axes, (N, 3 B). Isaac Lab does not have this term."""
+    """Sum of the normal contact forces on each of B bodies, newtons, world axes, (N, 3 B)."""
     return picked(env.scene[sensor_cfg.name].data.net_forces_w, sensor_cfg.body_ids).flatten(1)
 
 
 def body_air_time(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Time since each body lost contact, s; 0 for a body that is in contact. Isaac Lab does not have this term."""
+    """Time since each sensed body lost contact, s; 0 for a body that is in contact."""
     return picked(env.scene[sensor_cfg.name].data.current_air_time, sensor_cfg.body_ids)
 
 
@@ -240,7 +240,7 @@ def image(
 
 
 def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
-    """Return the cosine of the angle between each pixel's ray and the camera's axis, (N, height, width, 1)."""
+    """Return the cosine of the angle between each pixel's ray and the axis of its camera, (N, height, width, 1)."""
     height, width = picture.shape[1:3]
     column = torch.arange(width, device=picture.device).view(1, 1, width, 1)
     row = torch.arange(height, device=picture.device).view(1, height, 1, 1)
@@ -256,12 +256,12 @@ def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
 
 
 def generated_commands(env: Env, command_name: str) -> torch.Tensor:
-    """The current command that a command term has drawn."""
+    """The present command of a command term, (N, k)."""
     return env.command_manager.get_command(command_name)
 
 
 def travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Distance error (travelled minus commanded), m, and heading error (turned minus commanded), rad, (N, 2).
+    """Distance error (travelled minus commanded distance), m, and heading error (turned minus commanded angle), rad.
 
     Not in Isaac Lab.
 

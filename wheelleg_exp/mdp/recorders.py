@@ -11,18 +11,18 @@ from wheelleg_exp.managers.recorder_manager import Recorded
 
 
 class InitialStateRecorder(RecorderTerm):
-    """Record the state at the start of each episode as one row with the key ``initial_state``."""
+    """Record the robot's state at the start of each episode, as one row with the key ``initial_state``."""
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:
         return "initial_state", _rows(self._env.scene.get_state(is_relative=True), env_ids)
 
 
 class PostStepStatesRecorder(RecorderTerm):
-    """Record the state at the end of each control step, before resets, with the key ``states``.
+    """Record the robot's state at the end of each control step, before resets, with the key ``states``.
 
-    Below the key ``articulation/<name>``, a state has ``root_pose`` (m, relative to the environment's origin, and (w,
-    x, y, z)), ``root_velocity`` (centre of mass, world axes, m/s and rad/s), ``joint_position`` (rad), and
-    ``joint_velocity`` (rad/s).
+    Below the key ``articulation/<name>``, a recorded state has ``root_pose`` (m, relative to the environment's origin,
+    and (w, x, y, z)), ``root_velocity`` (of the centre of mass, world axes, m/s and rad/s), ``joint_position`` (rad),
+    and ``joint_velocity`` (rad/s).
     """
 
     reads_observations = False

@@ -1,4 +1,4 @@
-"""Reward terms, which return one value per environment, (N,), before the product with weight and time step.
+"""Reward terms, which return one value per environment, (N,); the manager multiplies it by weight and time step.
 
 The reward formulas are those of Isaac Lab, unless the docstring of a reward names a difference.
 """
@@ -27,7 +27,7 @@ def is_terminated(env: Env) -> torch.Tensor:
 
 
 class is_terminated_term(TermBase):
-    """Number of the listed termination terms that fired in this step; 0 if the episode ended by a time-out.
+    """Number of the listed termination terms that fired in the control step; 0 if a time-out ended the episode.
 
     Args:
         term_keys: expressions of termination names; all by default.
@@ -47,7 +47,7 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 def lin_vel_z_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Squared vertical velocity of the root's centre of mass in link axes, (m/s)^2."""
+    """Squared velocity of the root's centre of mass along the z axis of the root link, (m/s)^2."""
     return env.scene[asset_cfg.name].data.root_lin_vel_b[:, 2].square()
 
 
@@ -64,8 +64,8 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    Unlike the gradient of a squared error, the gradient of this reward term does not vanish at small tilt angles. The
-    penalty of a fallen robot is at most the weight. An upside-down robot gets the value of an upright robot.
+    The gradient of the tilt reward, unlike that of a squared error, does not vanish at small tilt angles. The term's
+    penalty for a fallen robot is at most the term's weight. Upside-down and upright robots get equal reward values.
 
     Args:
         std: sine of the tilt at which 1/e of the reward remains.
@@ -88,8 +88,8 @@ def base_height_l2(
 ) -> torch.Tensor:
     """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
 
-    With a ray caster, the target height is relative to the mean height of the ray hits. As in Isaac Lab, the value is
-    infinite if one ray has no hit. ``base_height_over_ground_l2`` needs no sensor.
+    With a ray caster, the target height of the base is relative to the mean height of the ray hits. As in Isaac Lab,
+    the reward value is infinite if a ray of the ray caster has no hit. ``base_height_over_ground_l2`` needs no sensor.
     """
     height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
     if sensor_cfg is not None:
@@ -106,7 +106,7 @@ def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneE
 def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
 
-    Unlike the gradient of a squared error, the gradient of this reward does not vanish at height errors of millimetres.
+    The gradient of the height reward, unlike that of a squared error, does not vanish at height errors of millimetres.
 
     Args:
         target_height: m.
@@ -117,9 +117,9 @@ def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: Sc
 
 
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the norms of the bodies' linear accelerations, m/s^2.
+    """Sum of the norms of the linear accelerations of the selected bodies, m/s^2.
 
-    The name in Isaac Lab is ``body_lin_acc_l2``, although the norms are not squared.
+    Isaac Lab's name of this reward is ``body_lin_acc_l2``, although the norms of the accelerations are not squared.
     """
     acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
@@ -149,7 +149,7 @@ def track_lin_vel_xy_yaw_frame_exp(
 ) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
 
-    Unlike ``track_lin_vel_xy_exp``, this reward does not count the vertical velocity of a leaning robot as forward
+    Unlike ``track_lin_vel_xy_exp``, this reward term does not count a leaning robot's vertical velocity as forward
     speed.
     """
     command = env.command_manager.get_command(command_name)
@@ -172,7 +172,7 @@ def track_base_height_exp(
 ) -> torch.Tensor:
     """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
 
-    The first component of the command must be the height, as in ``UniformBasePoseCommand``.
+    The first component of the command must be the base's height, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
@@ -182,7 +182,7 @@ def track_base_height_exp(
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
 
-    The components of the command must be height, roll and pitch, as in ``UniformBasePoseCommand``.
+    The components of the command must be the base's height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
     roll, pitch = roll_pitch(env.scene[asset_cfg.name].data)
@@ -202,12 +202,12 @@ def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0
 
 
 def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of squared applied torques, (N·m)^2."""
+    """Sum of the squares of the torques that the joints' drives applied, (N·m)^2."""
     return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
-    """Sum of |torque * velocity| over joints, W. Not in Isaac Lab.
+    """Sum of the absolute mechanical powers |torque * velocity| of the joints, W. Not in Isaac Lab.
 
     With ``positive_only``, the sum includes only positive joint power, not the negative power of braking joints.
     """
@@ -222,20 +222,20 @@ def joint_vel_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def joint_vel_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of squared joint velocities, (rad/s)^2."""
+    """Sum of the squares of the joint velocities, (rad/s)^2."""
     return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of squared joint accelerations over the last physics step, (rad/s^2)^2."""
+    """Sum of the squares of the joint accelerations over the last physics step, (rad/s^2)^2."""
     return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 class joint_vel_rate_l2(TermBase):
-    """Sum of squared changes of joint velocity over a control step, (rad/s)^2; 0 in an episode's first step.
+    """Sum of the squared changes of joint velocities over a control step, (rad/s)^2; 0 in an episode's first step.
 
-    Not in Isaac Lab. The term penalises jerky wheels. In contrast, ``joint_acc_l2`` uses only the velocity change over
-    the last physics step.
+    Not in Isaac Lab. The term penalises jerky wheels. The reward ``joint_acc_l2``, in contrast, uses only velocity
+    changes over the last physics step.
     """
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
@@ -276,11 +276,11 @@ def stand_still_joint_deviation_l1(
 def joint_symmetry_l1(
     env: Env, left_cfg: SceneEntityCfg, right_cfg: SceneEntityCfg, mirrored: bool = False
 ) -> torch.Tensor:
-    """Sum of |q_left - q_right| over pairs of joints, rad. Not in Isaac Lab.
+    """Sum of |q_left - q_right| over pairs of left and right joint positions, rad. Not in Isaac Lab.
 
-    Joint i of the left entity (a list of joints) is paired with joint i of the right entity. The left and the right
-    entity need the same ``preserve_order``. ``mirrored`` joints have opposite signs on the two sides, so that a
-    symmetric pose has |q_left + q_right| = 0.
+    Joint i of the left list of joints is paired with joint i of the right list of joints. The left and the right list
+    of joints need the same ``preserve_order``. ``mirrored`` joints have opposite signs on the two sides of the robot,
+    so that a symmetric pose has |q_left + q_right| = 0.
     """
     left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
     right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
@@ -323,9 +323,9 @@ def action_l2(env: Env) -> torch.Tensor:
 
 
 class action_acceleration_l2(TermBase):
-    """Sum of squared second differences of the raw action, (a - 2 a_1 + a_2)^2. Not in Isaac Lab.
+    """Sum of squared second differences (a - 2 a_1 + a_2)^2 of the raw action over control steps. Not in Isaac Lab.
 
-    Actions from before the start of an episode count as 0, as in ``action_rate_l2``.
+    As in ``action_rate_l2``, raw actions from before the start of an episode count as 0.
     """
 
     def __init__(self, env: Env) -> None:
@@ -342,15 +342,15 @@ class action_acceleration_l2(TermBase):
 
 
 def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Number of bodies whose contact force exceeded ``threshold`` (N) in the history of the contact sensor."""
+    """Number of bodies whose contact force exceeded ``threshold`` (N) in the contact sensor's force history."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).sum(dim=1).float()
 
 
 def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Number of bodies whose contact force was never above ``threshold`` (N) in the contact sensor's history.
+    """Number of bodies whose contact force never exceeded ``threshold`` (N) in the contact sensor's force history.
 
-    Not in Isaac Lab. If the bodies are wheels, the value is the number of wheels in the air.
+    Not in Isaac Lab. If the bodies are wheels, the reward value is the number of wheels in the air.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
@@ -359,7 +359,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
 
-    The name in Isaac Lab is ``desired_contacts``, although the term counts missing contacts.
+    Isaac Lab's name of this reward is ``desired_contacts``, although the reward counts missing contacts.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()
@@ -369,13 +369,13 @@ desired_contacts = no_desired_contact
 
 
 def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Sum of the amounts by which contact forces exceed ``threshold``, N."""
+    """Sum of the amounts by which the bodies' contact forces exceed ``threshold``, N."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force - threshold).clamp(min=0.0).sum(dim=1)
 
 
 def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
-    """Raise ConfigError with ``key`` unless sensor and robot values (N, k, ...) have the same number of bodies, k."""
+    """Raise ConfigError with ``key`` unless sensor and robot values (N, k, ...) have equally many bodies, k."""
     if first.shape[1] != second.shape[1]:
         message = f"there are {first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot"
         raise ConfigError(message, key=key, expected="the same number, in the order of sensor_cfg.body_names")
@@ -433,7 +433,7 @@ def feet_slide(
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
     """1 where the horizontal contact force on some foot or wheel exceeds ``ratio`` times the vertical force, else 0.
 
-    Not in Isaac Lab. The reward term penalises collisions of feet with steep obstacles.
+    Not in Isaac Lab. The reward term ``feet_stumble`` penalises collisions of feet with steep obstacles.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
@@ -454,8 +454,8 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
     """Variance of the feet's last air times plus variance of the feet's last contact times, s^2.
 
-    Air and contact times are clipped to ``max_time`` (s). Not in Isaac Lab's library. The reward term penalises an
-    uneven gait. The contact sensor must track air and contact times.
+    The feet's air and contact times are clipped to ``max_time`` (s). Not in Isaac Lab's library. The variance of the
+    feet's air and contact times penalises an uneven gait. The contact sensor must track air and contact times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
     flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
@@ -465,10 +465,10 @@ def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive =
 def wheel_slip(
     env: Env, radius: Positive, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
 ) -> torch.Tensor:
-    """Sum of the slip speeds at the wheels' contact points, m/s; 0 for wheels that roll without slip. Not in Isaac Lab.
+    """Sum of the slip speeds at the wheels' contact points, m/s; 0 for wheels that roll without slip.
 
     The contact point moves at v + w x (-r n): n is the normal of the wheel's contact force, v the velocity of the
-    wheel's centre of mass, w its angular velocity. The slip is the component of this velocity along the ground.
+    wheel's centre of mass, w its angular velocity. The slip is this point's velocity along the ground.
 
     Args:
         radius: r of the wheels, m.

@@ -10,19 +10,19 @@ from wheelleg_exp.managers import Env
 
 
 def height_over_ground(env: Env, positions: torch.Tensor) -> torch.Tensor:
-    """Return the height of world positions (N, ..., 3) above the ground, m, (N, ...)."""
+    """Return the heights of world positions (N, ..., 3) above the ground, m, (N, ...)."""
     height: torch.Tensor = positions[..., 2] - env.scene.terrain.height_at(positions[..., :2])
     return height
 
 
 def roll_pitch(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return roll and pitch of the root link, rad, (N,) each, where its rotation is R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return roll and pitch of the root link, rad, (N,) each; the rotation is R = Rz(yaw) Ry(pitch) Rx(roll)."""
     x, y, z = data.projected_gravity_b.unbind(dim=1)
     return torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
 
 
 def level_velocity(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the forward and leftward velocity of the root's centre of mass in level axes, m/s, (N,) each."""
+    """Return the forward and leftward velocity of the root's centre of mass in horizontal axes, m/s, (N,) each."""
     velocity, yaw = data.root_lin_vel_w, data.heading_w
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     return cos * velocity[:, 0] + sin * velocity[:, 1], cos * velocity[:, 1] - sin * velocity[:, 0]

@@ -14,16 +14,16 @@ from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
-_ROUNDING = 1e-3  # tolerance as a share of the effort limit, because the engine rounds the torque of a stiff drive
+_ROUNDING = 1e-3  # a tolerance as a share of the effort limit, because the engine rounds the torque of a stiff drive
 
 
 def time_out(env: Env) -> torch.Tensor:
-    """End the episode if the episode has reached its longest length."""
+    """End the episode if the episode has reached the longest length."""
     return env.episode_length_buf >= env.max_episode_length
 
 
 def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> torch.Tensor:
-    """End the episode if the command is about to be resampled after ``num_resamples`` draws."""
+    """End the episode if the command has been drawn ``num_resamples`` times and is due for another draw."""
     command = env.command_manager.get_term(command_name)
     return (command.time_left <= env.step_dt) & (command.command_counter == num_resamples)
 
@@ -38,7 +38,7 @@ def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _RO
 
 
 def root_height_below_minimum(env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """End the episode if the root link is below ``minimum_height`` (m) in the world. Use the term on flat ground."""
+    """End the episode if the root link is below ``minimum_height`` (m) in the world; for flat ground only."""
     return env.scene[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
 
 
@@ -54,7 +54,7 @@ def terrain_out_of_bounds(
 ) -> torch.Tensor:
     """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of the ground.
 
-    This termination never fires on ground without tiles.
+    On ground without tiles, this termination never fires.
     """
     terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
@@ -77,7 +77,7 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 class stuck(TermBase):
     """End the episode if a robot must drive but moved less than ``distance`` (m) in ``time`` (s). Not in Isaac Lab.
 
-    While the commanded planar speed is at most ``command_threshold``, the reference position and the timer are reset.
+    While the commanded planar speed is at most ``command_threshold``, the term resets its reference position and timer.
 
     Args:
         distance: distance in the plane, m.
@@ -115,7 +115,7 @@ class stuck(TermBase):
 
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """End the episode if at least one joint is outside its soft limits."""
+    """End the episode if the position of at least one joint is outside the joint's soft limits."""
     data = env.scene[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
@@ -156,5 +156,5 @@ def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg
 
 
 def non_finite_state(env: Env) -> torch.Tensor:
-    """End the episode if the engine found NaN or huge values in the simulation and has reset the simulation."""
+    """End the episode if the engine found NaN or huge values in the simulation and reset the simulation."""
     return env.scene.unstable()

@@ -1,4 +1,4 @@
-"""The robot's state and parameters under all names of Isaac Lab's ``ArticulationData``."""
+"""The robot's state and parameters, with the attribute names of Isaac Lab's ``ArticulationData``."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _UNSUPPORTED |= {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "de
 class ArticulationData(RobotData):
     """The robot's state and parameters: float32, N environments, joints and bodies in the robot's order.
 
-    In attribute names, the suffix ``_w`` means world axes, and ``_b`` means axes of the link. Velocities refer to
-    centres of mass, unless the attribute name contains ``link``. Poses refer to link frames, unless the attribute name
-    contains ``com``. Quaternions are (w, x, y, z). A pose is a position, m, and a quaternion. A velocity is a linear
-    velocity, m/s, and an angular velocity, rad/s. A state is a pose and a velocity. CoM means centre of mass.
+    The suffix ``_w`` of an attribute name means world axes, and the suffix ``_b`` means the axes of a link.
+    Velocities refer to centres of mass of bodies, unless the attribute name contains ``link``. Poses refer to link
+    frames, unless the name contains ``com``. Quaternions are (w, x, y, z). A pose is a position, m, and a quaternion. A
+    velocity is linear, m/s, and angular, rad/s. A state is a pose and a velocity. CoM means centre of mass.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
@@ -71,7 +71,7 @@ class ArticulationData(RobotData):
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # The bodies' velocities at the start of the last physics step; None until body accelerations are first read.
+        # The bodies' velocities at the start of the last physics step; None before code first reads accelerations.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
@@ -81,7 +81,7 @@ class ArticulationData(RobotData):
     device = alias_of("_sim.device", "Device of the tensors.")
 
     def update(self, dt: float) -> None:
-        """Do nothing, because each quantity is computed from the present state when it is read."""
+        """Do nothing, because each of the robot's quantities is computed when code reads the quantity."""
         del dt
 
     @cached_until_change
@@ -91,7 +91,7 @@ class ArticulationData(RobotData):
 
     @cached_until_change
     def root_com_quat_w(self) -> torch.Tensor:
-        """Orientation of the root body's principal axes of inertia (w, x, y, z), (N, 4)."""
+        """Orientation of the root body's principal axes of inertia, as quaternions (w, x, y, z), (N, 4)."""
         return rotation.quat_mul(self.root_quat_w, self._of_bodies("body_iquat")[:, 0])
 
     root_link_pose_w = joined("root_pos_w", "root_quat_w", "Pose of the root link, m and (w, x, y, z), (N, 7).")
@@ -152,28 +152,28 @@ class ArticulationData(RobotData):
 
     @cached_until_change
     def body_link_lin_vel_w(self) -> torch.Tensor:
-        """Linear velocities of the links' origins, m/s, (N, B, 3)."""
+        """Linear velocities of the origins of the robot's links in world axes, m/s, (N, B, 3)."""
         return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, self.body_pos_w - self.body_com_pos_w)
 
     @cached_until_change
     def body_com_pos_w(self) -> torch.Tensor:
-        """Positions of the bodies' centres of mass, m, (N, B, 3)."""
+        """Positions of the centres of mass of the robot's bodies in the world, m, (N, B, 3)."""
         return self._output("xipos")[:, self._body_ids].float()
 
     @cached_until_change
     def body_com_quat_w(self) -> torch.Tensor:
-        """Orientations of the bodies' principal axes of inertia (w, x, y, z), (N, B, 4)."""
+        """World orientations of the bodies' principal axes of inertia, as quaternions (w, x, y, z), (N, B, 4)."""
         link, inertial = self.body_quat_w.reshape(-1, 4), self.body_com_quat_b.reshape(-1, 4)
         return rotation.quat_mul(link, inertial).view_as(self.body_quat_w)
 
     @cached_until_change
     def body_com_pos_b(self) -> torch.Tensor:
-        """Centre of mass of each body in the link's frame, m, (N, B, 3)."""
+        """Position of each body's centre of mass in the frame of the body's link, m, (N, B, 3)."""
         return self._of_bodies("body_ipos")
 
     @cached_until_change
     def body_com_quat_b(self) -> torch.Tensor:
-        """Orientation of each body's principal axes of inertia in the link's frame (w, x, y, z), (N, B, 4)."""
+        """Quaternion (w, x, y, z) of each body's principal axes of inertia in the body's link frame, (N, B, 4)."""
         return self._of_bodies("body_iquat")
 
     body_link_pose_w = joined("body_pos_w", "body_quat_w", "Poses of the link frames, (N, B, 7).")
@@ -199,16 +199,16 @@ class ArticulationData(RobotData):
 
     @cached_until_change
     def body_com_acc_w(self) -> torch.Tensor:
-        """Accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); a body at rest has 0.
+        """Linear and angular accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); 0 at rest.
 
-        The acceleration is the velocity difference over the last physics step. After a reset or a written velocity, the
-        acceleration is 0 until the next physics step.
+        The acceleration of a body is the difference of its velocity over the last physics step, divided by the step.
+        After a reset, or after code wrote velocities, all accelerations are 0 until the next physics step.
         """
         if self._vel_before is None:
             # The bodies' velocities at the start of the last physics step.
-            # The stored earlier state has only joint positions and velocities. To get the bodies' velocities from it,
-            # write the earlier state to the engine, compute the bodies' velocities, and restore the present state.
-            # Only the first read of an acceleration needs the bodies' earlier velocities to be recomputed.
+            # The stored state at the start of the step has no bodies' velocities. To compute the bodies' velocities,
+            # write the stored state to the engine, run the engine's kinematics, and restore the present state.
+            # Only the first read of an acceleration needs to recompute the bodies' velocities at the start of the step.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
             self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
@@ -227,12 +227,12 @@ class ArticulationData(RobotData):
 
     @cached_until_change
     def body_com_lin_acc_w(self) -> torch.Tensor:
-        """Linear accelerations of the bodies' centres of mass, m/s^2, (N, B, 3)."""
+        """Linear accelerations of the centres of mass of the robot's bodies, m/s^2, (N, B, 3)."""
         return self.body_com_acc_w[..., :3]
 
     @cached_until_change
     def body_com_ang_acc_w(self) -> torch.Tensor:
-        """Angular accelerations of the bodies, rad/s^2, (N, B, 3)."""
+        """Angular accelerations of the robot's bodies, rad/s^2, (N, B, 3)."""
         return self.body_com_acc_w[..., 3:]
 
     def forget_accelerations(self, ids: torch.Tensor) -> None:

@@ -26,15 +26,15 @@ _UNSTABLE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("
 class BatchEngine(Engine):
     """N simulations on the CPU; each physics step is bit-identical to MuJoCo's ``mj_step``.
 
-    The number of physics threads, ``nthread``, does not change the results. The value 0 means one thread for each CPU
-    core that the process may use.
+    The number of physics threads, ``nthread``, does not change the results. The value 0 of ``nthread`` means one
+    physics thread for each CPU core that the process may use.
     """
 
     name = "mujoco"
     exact = True
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
-        # Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; warnings still appear on the console.
+        # Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; MuJoCo prints its warnings on the console.
         config = mujoco.MjLogConfig.get()
         config.logto_file = False
         config.set()
@@ -68,7 +68,7 @@ class BatchEngine(Engine):
 
     def view(self, name: str) -> torch.Tensor:
         if name not in self._views:
-            with warnings.catch_warnings():  # Torch warns that it cannot mark a tensor as read-only.
+            with warnings.catch_warnings():  # Torch would warn here that it cannot mark a tensor as read-only.
                 warnings.simplefilter("ignore", UserWarning)
                 self._views[name] = torch.from_numpy(self.batch.bind(name))
         return self._views[name]
@@ -108,8 +108,8 @@ class BatchEngine(Engine):
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        # MuJoCo detects NaN and huge values only at the start of the next step, and then resets the simulation.
-        # Each such reset increments a warning counter. Therefore also check the values after the last step here.
+        # MuJoCo detects NaN and huge values only at the start of a physics step, and resets the simulation.
+        # MuJoCo's warning counters show these resets, but values after the last physics step must be checked here.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
@@ -134,7 +134,7 @@ class BatchEngine(Engine):
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return states, warnings, and model fields; raise ConfigError if terms expanded fields without ``expand``."""
+        """Return the engine's state; raise ConfigError if a term expanded a model field without ``expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
                 f"a term expanded {' and '.join(hidden)} with MuJoCo's own batch method, which no checkpoint saves",
@@ -143,7 +143,7 @@ class BatchEngine(Engine):
             )
         at_set_const = None
         if self._at_set_const is not None:
-            # For each model field that was edited after the last call of ``set_const``: the values at that call.
+            # The values that edited model fields had at the last call of ``set_const``, by field.
             then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
             at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {

@@ -14,7 +14,7 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
-    """Make a property that is computed on the first read after each change of the robot's state, and then cached."""
+    """Make a property that computes and caches its value at the first read after each change of the robot's state."""
     name = compute.__name__
 
     def get(self: Any) -> torch.Tensor:
@@ -42,7 +42,7 @@ def alias_of(name: str, doc: str | None = None) -> property:
 
 
 class NotInMuJoCo(ConfigError, AttributeError):
-    """The error for an Isaac Lab attribute without a counterpart in MuJoCo; ``hasattr`` then returns False."""
+    """The error for reading an Isaac Lab attribute without a counterpart in MuJoCo; ``hasattr`` gives False for it."""
 
 
 class UnsupportedMember:

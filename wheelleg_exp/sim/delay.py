@@ -13,12 +13,12 @@ from wheelleg_exp.state import Stateful
 
 
 class DelayBuffer:
-    """A buffer of the last samples of each environment; ``push`` returns the sample of age ``lag``.
+    """A buffer of the last samples of each environment; ``push`` returns the sample stored ``lag`` calls earlier.
 
-    The first sample after a reset replaces all earlier samples of the environment. Therefore the age of the returned
-    sample is ``min(lag, samples - 1)``, as in Isaac Lab's ``DelayBuffer``. Each reset draws lags uniformly from the
-    range ``lags``; before the first reset all lags are 0. All samples have the shape (N, ...) and the device of the
-    argument ``sample``.
+    The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab's ``DelayBuffer``,
+    the returned sample is ``min(lag, samples - 1)`` calls of ``push`` old. Each reset draws an environment's lag
+    uniformly from the range ``lags``; before the first reset, the lag is 0. All samples have the shape (N, ...) and the
+    device of the argument ``sample``.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
@@ -29,8 +29,8 @@ class DelayBuffer:
         self.lag = torch.zeros(len(sample), dtype=torch.long, device=sample.device)
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
-        """Store a sample (N, ...) and return the delayed sample."""
-        # Assign a new tensor, because the old tensor may have been created in inference mode.
+        """Store a sample (N, ...), and return the stored sample that is ``lag`` calls older."""
+        # Assign a new tensor, because a tensor that was created in inference mode cannot be changed in place.
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
         return self._read(self._samples)
@@ -68,7 +68,7 @@ class DelayBuffer:
 class TargetDelay(Stateful):
     """Delays the targets of a group of joints by a number of physics steps, with one lag per environment.
 
-    ``bounds`` are the shortest and the longest lag, in physics steps, and ``shape`` is (N, J).
+    ``bounds`` are the shortest and the longest lag, in physics steps; ``shape`` (N, J) is that of the targets.
     """
 
     settings = ("_ids",)
@@ -87,7 +87,7 @@ class TargetDelay(Stateful):
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
-        """Store the joint targets of a physics step; return delayed targets, valid only for the group's joints."""
+        """Store a physics step's joint targets; return delayed targets, which are valid only for the group's joints."""
         ids = self._ids
         now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
         self._seen[:, :, ids] = self._past.push(now)

@@ -17,9 +17,8 @@ WRENCHES = "wrenches"
 class Engine(Kept, ABC):
     """N simulations of one model.
 
-    State fields are always current. Once a term has called ``derived``, each physics step also updates the quantities
-    that depend on positions and velocities. Torques and contact forces belong to the last physics step, as in PhysX and
-    Isaac Lab.
+    State fields are always current. After a call of ``derived``, each physics step updates the quantities that depend
+    on positions and velocities. Torques and contact forces belong to the last physics step, as in PhysX and Isaac Lab.
 
     Attributes:
         name: the engine's name in ``env.sim.engine``.
@@ -31,8 +30,8 @@ class Engine(Kept, ABC):
         state: the numbers that determine the next step, one row per simulation, (N, k).
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
-        asked: the tensors other than states that terms obtained to write to: model fields by name, ``WRENCHES``. The
-            code that reads this set also empties it.
+        asked: the tensors other than states that terms obtained to write to: model fields by name, ``WRENCHES``. Code
+            that reads the set ``asked`` then empties the set.
     """
 
     name: ClassVar[str]
@@ -47,7 +46,7 @@ class Engine(Kept, ABC):
     asked: set[str]
 
     def constant(self, name: str) -> torch.Tensor:
-        """Return a copy of a field of the compiled model on the engine's device; floats are converted to ``dtype``."""
+        """Return a copy of a field of the compiled model on the engine's device; float fields are cast to ``dtype``."""
         field = torch.from_numpy(getattr(self.model, name).copy())
         return field.to(self.device, self.dtype if field.is_floating_point() else None)
 
@@ -59,13 +58,14 @@ class Engine(Kept, ABC):
     def view(self, name: str) -> torch.Tensor:
         """Return a view (N, ...) of an MjData field, which always shows the present values.
 
-        Code may write state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All other fields are outputs
-        of the last physics step. Read an output before the next call of ``forward``, which overwrites the output.
+        Code may write to MjData's state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All MjData fields
+        except the state fields are outputs of the last physics step. Read an output of the engine before the next call
+        of ``forward``, which overwrites the output.
         """
 
     @property
     def motion(self) -> torch.Tensor:
-        """Present positions and velocities of the simulations, (N, nq + nv), positions first."""
+        """Present positions and velocities of the simulations, (N, nq + nv), with the positions first."""
         return torch.cat((self.view("qpos"), self.view("qvel")), dim=1)
 
     @abstractmethod
@@ -93,27 +93,27 @@ class Engine(Kept, ABC):
 
     @property
     def is_captured(self) -> bool:
-        """Whether this engine can run inside a captured CUDA graph."""
+        """Whether the engine's physics step can be part of a captured CUDA graph."""
         return False
 
     def require_room(self) -> None:
-        """Raise SimulationFailure if contacts or constraint rows exceeded the engine's capacity."""
+        """Raise SimulationFailure if the contacts or constraint rows of a simulation exceeded the engine's capacity."""
 
     @abstractmethod
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Recompute all derived quantities from the states of the simulations ``ids``; None means all simulations."""
+        """Recompute all quantities that depend on the states of the simulations ``ids``; None means all simulations."""
 
     @abstractmethod
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        Positions and velocities do not change. However, positions and velocities that are NaN or inf are replaced by
-        the model's defaults.
+        This reset of the engine does not change finite positions and velocities. A reset of the engine replaces
+        positions and velocities that are NaN or inf by the model's defaults.
         """
 
     @abstractmethod
     def unstable(self) -> torch.Tensor:
-        """Return a mask (N,) of the simulations that have had NaN or huge values since their reset."""
+        """Return a mask (N,) of the simulations that have had NaN or huge values since their last reset."""
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
         """Return a sum that is finite only if all positions and velocities of the simulations ``rows`` are finite."""
@@ -127,17 +127,17 @@ class Engine(Kept, ABC):
         geom_groups: Sequence[int] | None = None,
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return the distance to each ray's first hit, (n, R), in lengths of its direction vector; -1 means no hit.
+        """Return the distance to each ray's first hit, (n, R), in lengths of the ray's direction; -1 means no hit.
 
         The rays' origins, m, and directions have the shape (n, R, 3) and are in world axes. Only geoms in
-        ``geom_groups`` stop a ray; None means that all geoms stop a ray. ``ids`` are the simulations of the rays, (n,);
-        None means all simulations.
+        ``geom_groups`` stop a ray; None means that all geoms stop a ray. ``ids`` (n,) are the simulations in which the
+        rays are cast; None means all simulations.
         """
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Declare that the geoms of a group never move, so that an engine may cast rays without the robot.
+        """Declare that the geoms of a group never move, so that an engine may cast rays in a model without the robot.
 
-        ``alone`` returns a model that contains only the geoms of this group, with unchanged names.
+        The function ``alone`` returns a model that contains only the geoms of one group, with unchanged names.
         """
         del geom_group, alone
 

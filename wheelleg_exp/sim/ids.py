@@ -11,12 +11,12 @@ _ALL = slice(None)
 
 
 def ids_where(mask: torch.Tensor) -> torch.Tensor:
-    """Return the indices (n,) at which a mask (N,) is True; on a GPU, the host waits for the result."""
+    """Return the indices (n,) at which a mask (N,) is True; if the mask is on a GPU, the host waits for the indices."""
     return mask.nonzero().squeeze(1)
 
 
 def chosen(ids: Ids, everything: torch.Tensor) -> torch.Tensor:
-    """Return indices as a tensor (n,); None stands for all indices, ``everything`` (N,)."""
+    """Return indices as a tensor (n,); the argument None stands for all indices, which are in ``everything`` (N,)."""
     if ids is None or isinstance(ids, torch.Tensor):
         return everything if ids is None else ids
     return everything[ids] if isinstance(ids, slice) else torch.tensor(list(ids), device=everything.device)
@@ -28,7 +28,7 @@ def not_finite(values: torch.Tensor) -> torch.Tensor:
 
 
 def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> torch.Tensor:
-    """Return the columns ``values[:, ids]``, (N, k, ...); this function is several times faster than indexing."""
+    """Return the columns ``values[:, ids]``, (N, k, ...), several times faster than torch's indexing returns them."""
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         return values.index_select(1, ids)
     return values if isinstance(ids, slice) and ids == _ALL else values[:, ids]
@@ -46,7 +46,7 @@ def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
 
 
 def columns(ids: Ids, device: torch.device) -> torch.Tensor | slice:
-    """Return indices along one dimension as a tensor or a slice; None stands for all indices."""
+    """Return indices along one dimension of a tensor as a tensor or a slice; None stands for all indices."""
     if ids is None:
         return slice(None)
     return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)

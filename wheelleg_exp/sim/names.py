@@ -1,4 +1,4 @@
-"""Match names against regular expressions, with the rules of Isaac Lab's string utilities."""
+"""Match names of joints and bodies against regular expressions, with the rules of Isaac Lab's string utilities."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ def match_names(
     what: str,
     preserve_order: bool = False,
 ) -> tuple[list[int], list[str]]:
-    """Return the indices and names of the names that one or several regular expressions match completely.
+    """Return the names that one or several regular expressions match completely, and the indices of these names.
 
-    The result has the order of the asset, or with ``preserve_order`` the order of the expressions. Raise ConfigError if
-    an expression matches no name, or if two expressions match one name. The error message contains the config key
-    ``key`` and the noun ``what`` (``joint`` or ``body``).
+    The matched names have the order of the robot's names, or with ``preserve_order`` the order of the regular
+    expressions. Raise ConfigError if a regular expression matches no name, or if two regular expressions match one
+    name. The error message contains the config key ``key`` and the noun ``what`` (``joint`` or ``body``).
     """
     patterns = [expressions] if isinstance(expressions, str) else list(expressions)
     owner: dict[str, str] = {}
@@ -48,8 +48,8 @@ def values_by_name(
 ) -> list[Any]:
     """Return one value for each name, given one number or a mapping from regular expressions to values.
 
-    A name that no regular expression matches gets the value ``default``. ``match_names`` raises the errors for invalid
-    regular expressions.
+    A name that no regular expression matches gets the value ``default``. The function ``match_names`` raises the errors
+    for invalid regular expressions of names.
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
@@ -89,8 +89,7 @@ def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigErro
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
     """Return an error for each joint that two actuator groups, or two action terms, drive at once.
 
-    ``claims`` lists the actuator groups or action terms; each entry has a name, the config key of the joint
-    expressions, and the joints.
+    ``claims`` has the name, the config key, and the joints of each actuator group or action term.
     """
     owner: dict[str, str] = {}
     errors = []

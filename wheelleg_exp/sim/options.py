@@ -1,4 +1,4 @@
-"""Options of the config sections ``env.sim``, ``env.scene`` and ``env.robot``.
+"""The dataclasses of the options in the config sections ``env.sim``, ``env.scene`` and ``env.robot``.
 
 Almost none has a default: the config states every number.
 """
@@ -16,7 +16,7 @@ from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAl
 
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check that the engine supports the device and the solver, and that the engine's packages are installed."""
+    """Check that the physics engine supports the device and the solver, and that the packages of the engine exist."""
     device = given["device"]
     if given["engine"] == "mujoco":
         if device != "cpu":
@@ -39,11 +39,11 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
-    """Options of the engine and the solver (``env.sim``); the solver options have MuJoCo's names.
+    """Options of the physics engine and the solver (``env.sim``); the solver options have MuJoCo's names.
 
     Attributes:
-        engine: ``mujoco`` simulates on the CPU and is bit-reproducible; ``warp`` is mujoco-warp in single precision on
-            a GPU, or on the CPU for tests.
+        engine: The engine ``mujoco`` simulates bit-reproducibly on the CPU; ``warp`` is mujoco-warp, in single
+            precision, usually on a GPU.
         device: device of the engine's tensors, ``cpu``, or for the engine ``warp`` also ``cuda:0`` and so on.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.

@@ -27,7 +27,7 @@ ACTUATORS_KEY = "env.robot.actuators"
 
 
 class Robot(RobotWriters):
-    """The robot of the scene, with the methods of ``RobotWriters``. The constructor adds actuators to ``spec``."""
+    """The scene's robot, whose constructor adds the robot's actuators to the MuJoCo spec ``spec``."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Robot(RobotWriters):
     default_root_quat = alias_of("layout.default_root_quat", "Orientation of the root link at a reset, wxyz, (4,).")
 
     def connect(self, sim: Engine, stream: Callable[[str], torch.Generator]) -> None:
-        """Connect the robot to the running simulations, once, after the scene has been compiled."""
+        """Connect the robot to the running simulations; the scene calls this method once, after compiling the model."""
         self._sim = sim
         layout, n, device = self.layout, sim.num_envs, sim.device
         layout.bind(sim.model)
@@ -83,14 +83,14 @@ class Robot(RobotWriters):
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
         # The force and torque on the root link, with the vector components as the first dimensions, (2, 3, N).
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
-        # The environments whose state was written since the last refresh, as a list of index tensors.
+        # The environments whose state was written since the last call of ``refresh``, as a list of index tensors.
         # A reset writes often with one index tensor, so a list that stores this tensor once is cheaper than a mask.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # In memory, the vector components are the first dimensions, as in the rotation matrices.
+        # In memory, the vector components are the first dimensions, as in the matrices of ``quat_to_matrix``.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
@@ -102,13 +102,13 @@ class Robot(RobotWriters):
         return torque
 
     def _targets_of_joints(self) -> JointTargets:
-        """Return the joint targets minus the encoder bias, because a drive controls the encoder's reading."""
+        """Return the joint targets minus the encoder bias, because a joint's drive controls the encoder's reading."""
         if not self.data.has_encoder_bias:
             return self.targets
         return JointTargets(self.targets.pos - self.data.encoder_bias, self.targets.vel, self.targets.effort)
 
     def _gains(self, name: str, in_solver: bool) -> torch.Tensor:
-        """Return a gain of each joint's actuator, (N, J); ``in_solver`` gives 0 to actuators outside the solver."""
+        """Return a gain of each joint's actuator, (N, J); with ``in_solver``, 0 for actuators outside of the solver."""
         found = torch.zeros_like(self.targets.pos)
         for actuator in self.actuators.values():
             if isinstance(actuator, ImplicitActuator) or not in_solver:
@@ -116,7 +116,7 @@ class Robot(RobotWriters):
         return found
 
     def shape_ids(self, body_ids: torch.Tensor | slice) -> torch.Tensor:
-        """Return the MuJoCo ids of the bodies' geoms that can collide; ``bodies`` are indices into ``body_names``."""
+        """Return the MuJoCo ids of those geoms of ``bodies`` (indices into ``body_names``) that can collide."""
         model = self._sim.model
         solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         bodies = set(self.body_ids[body_ids].tolist())
@@ -133,7 +133,7 @@ class Robot(RobotWriters):
         self._has_new_targets = True
 
     def write_data_to_sim(self) -> None:
-        """Compute the MuJoCo controls with the actuator models, and write lasting external wrenches in world axes."""
+        """Compute the MuJoCo controls with the actuator models; write the bodies' external wrenches, in world axes."""
         data = self.data
         data.before_step()
         start, targets = 0, self._targets_of_joints()
@@ -172,11 +172,11 @@ class Robot(RobotWriters):
 
     @property
     def is_stale(self) -> bool:
-        """Whether the state has been written since derived quantities were last computed."""
+        """Whether code has written the robot's state since derived quantities were last computed."""
         return bool(self._stale)
 
     def take_stale(self) -> torch.Tensor:
-        """Return the environments whose state has been written since the last call of this method, (n,)."""
+        """Return the ids (n,) of the environments whose robot state was written since the last call of this method."""
         ids = self._stale[0] if len(self._stale) == 1 else ids_where(self._stale_rows())
         self._stale = []
         return ids

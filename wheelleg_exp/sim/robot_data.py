@@ -1,6 +1,6 @@
-"""The robot's state, with the attribute names of Isaac Lab.
+"""The robot's state, whose quantities have the attribute names of Isaac Lab.
 
-Each quantity is computed when it is first read after a change of the robot's state.
+Each quantity of the robot is computed at its first read after a change of the robot's state.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _SETTINGS = (
 class RobotData(Kept):
     """The robot's state: float32, N environments, joints and bodies in the robot's order; always fresh.
 
-    In attribute names, the suffix ``_w`` means world axes, and ``_b`` means axes of the root link. Root linear
-    velocities refer to the root body's centre of mass, unless the attribute name contains ``link``. Poses refer to link
-    frames. The function ``computed_torque`` returns the actuators' unclipped torques (N, J) in the last physics step.
+    The suffix ``_w`` of an attribute name means world axes; the suffix ``_b`` means the axes of the root link. Root
+    linear velocities refer to the root body's centre of mass, unless the attribute name contains ``link``. Poses refer
+    to link frames. ``computed_torque`` returns the actuators' unclipped torques (N, J) in the last physics step.
 
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
@@ -76,34 +76,34 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Request this view of the torques here, because a view contains zeros until the next physics step.
+        # Request the view of the actuators' torques here, because new views contain zeros until the next physics step.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:
-        """Clear the cache of derived quantities. Call this method after each change of the robot's state."""
+        """Clear the cache of the robot's derived quantities; called after each change of the robot's state."""
         self._cache.clear()
         self._shows_outputs = False
 
     def outputs_refreshed(self) -> None:
-        """Clear the cache if it contains engine outputs, because the engine has just computed new outputs."""
+        """Clear the cache if it contains outputs of the engine, because the engine has just computed new outputs."""
         if self._shows_outputs:
             self.invalidate()
 
     def _output(self, name: str) -> torch.Tensor:
-        """Return an output of the engine; after a write of the state, outputs are stale until ``Scene.refresh``."""
+        """Return an output of the engine; after a write of the state, outputs are outdated until ``Scene.refresh``."""
         self._shows_outputs = True
         return self._sim.derived(name)
 
     def before_step(self) -> None:
-        """Store the positions and velocities at the start of the next physics step."""
+        """Store the present positions and velocities, from which the next physics step starts."""
         self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
-        """Set the earlier velocities (n, k) for computing joint accelerations, after velocities were written."""
+        """After code wrote joint velocities, set the velocities (n, k) that the joint accelerations start from."""
         self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:
-        """Store the torques of every environment after a physics step."""
+        """Store the joint torques of every environment after a physics step."""
         if not self._all_valid:
             self._torque_valid.fill_(1.0)
             self._all_valid = True
@@ -115,14 +115,14 @@ class RobotData(Kept):
         self.invalidate()
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Set torques and accelerations of the environments ``ids`` to zero until the next physics step."""
+        """Set joint torques and accelerations of the environments ``ids`` to zero until the next physics step."""
         self._torque_valid.index_fill_(0, ids, 0.0)
         self._all_valid = False
         self._applied_torque = self._applied_torque.index_fill(0, ids, 0.0)
         self.invalidate()
 
     def settings(self) -> dict[str, torch.Tensor]:
-        """Return the tensors of parameters from the config and the model, which events can change."""
+        """Return the tensors of the robot's parameters, such as gains and masses, which events can change."""
         return {name: getattr(self, name) for name in _SETTINGS}
 
     def _model(self, name: str) -> torch.Tensor:
@@ -138,11 +138,11 @@ class RobotData(Kept):
         return self._model(name)[:, self._body_ids].float()
 
     def begin_control_step(self) -> None:
-        """Store the positions and velocities at the start of the next control step, for failure reports."""
+        """Store the present positions and velocities, from which the next control step starts, for failure reports."""
         self.motion_at_start.copy_(self._sim.motion)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the stored positions and velocities from the start of the last physics step."""
+        """Return the stored positions and velocities of the robot at the start of the last physics step."""
         names = ("motion_before", "torque_valid", "applied_torque")
         return {name: getattr(self, f"_{name}").clone() for name in names}
 
@@ -180,13 +180,13 @@ class RobotData(Kept):
 
     @cached_until_change
     def root_quat_w(self) -> torch.Tensor:
-        """Orientation of the root link (w, x, y, z), (N, 4)."""
+        """Orientation of the root link in the world, as quaternions (w, x, y, z), (N, 4)."""
         # MuJoCo normalises the root's quaternion in each physics step.
         return self._positions[:, 3:7] if self._floating else self.body_quat_w[:, 0]
 
     @cached_until_change
     def root_rot_w(self) -> torch.Tensor:
-        """Rotation matrix of the root link, (N, 3, 3)."""
+        """Rotation matrices from the axes of the root link to world axes, (N, 3, 3)."""
         return rotation.quat_to_matrix(self.root_quat_w)
 
     @cached_until_change
@@ -210,7 +210,7 @@ class RobotData(Kept):
 
     @cached_until_change
     def root_link_lin_vel_b(self) -> torch.Tensor:
-        """Velocity of the root link's origin in link axes, m/s, (N, 3)."""
+        """Velocity of the root link's origin in the axes of the root link, m/s, (N, 3)."""
         return rotation.rotate_inverse(self.root_rot_w, self.root_link_lin_vel_w)
 
     @cached_until_change
@@ -225,7 +225,7 @@ class RobotData(Kept):
 
     @cached_until_change
     def projected_gravity_b(self) -> torch.Tensor:
-        """Unit gravity direction in link axes, (N, 3); upright is (0, 0, -1)."""
+        """Unit vector of gravity in the axes of the root link, (N, 3); (0, 0, -1) for an upright robot."""
         return rotation.rotate_inverse(self.root_rot_w, self._gravity_dir.unsqueeze(0))
 
     @cached_until_change
@@ -241,7 +241,7 @@ class RobotData(Kept):
 
     @property
     def joint_pos_measured(self) -> torch.Tensor:
-        """Readings of the joints' encoders (joint position plus encoder bias), rad, (N, J)."""
+        """Readings of the joints' encoders, each a joint position plus an encoder bias, rad, (N, J)."""
         return self.joint_pos + self.encoder_bias if self.has_encoder_bias else self.joint_pos
 
     @cached_until_change
@@ -270,32 +270,32 @@ class RobotData(Kept):
 
     @cached_until_change
     def computed_torque(self) -> torch.Tensor:
-        """Unclipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
+        """Unclipped actuator torques at the start of the last physics step, N·m, (N, J); 0 right after a reset."""
         return self._compute_torque(self) * self._torque_valid
 
     @cached_until_change
     def body_pos_w(self) -> torch.Tensor:
-        """Positions of the link frames, m, (N, B, 3)."""
+        """Positions of the frames of the robot's links in the world, m, (N, B, 3)."""
         return self._output("xpos")[:, self._body_ids].float()
 
     @cached_until_change
     def body_quat_w(self) -> torch.Tensor:
-        """Orientations of the link frames (w, x, y, z), (N, B, 4)."""
+        """Orientations of the frames of the robot's links, as quaternions (w, x, y, z), (N, B, 4)."""
         return self._output("xquat")[:, self._body_ids].float()
 
     @cached_until_change
     def body_rot_w(self) -> torch.Tensor:
-        """Rotation matrices of the links, (N, B, 3, 3)."""
+        """Rotation matrices from the axes of the robot's links to world axes, (N, B, 3, 3)."""
         return self._output("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
 
     @cached_until_change
     def body_ang_vel_w(self) -> torch.Tensor:
-        """Angular velocities of the links, rad/s, (N, B, 3)."""
+        """Angular velocities of the robot's links, rad/s, (N, B, 3)."""
         return self._output("cvel")[:, self._body_ids, 0:3].float()
 
     @cached_until_change
     def body_lin_vel_w(self) -> torch.Tensor:
-        """Velocities of the links' centres of mass, m/s, (N, B, 3)."""
+        """Velocities of the centres of mass of the robot's links, m/s, (N, B, 3)."""
         # MuJoCo's cvel refers to the centre of mass of the kinematic tree; convert cvel to each body's centre of mass.
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)

@@ -49,7 +49,7 @@ class RobotLayout(Kept):
             bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
 
     def bind(self, model: mujoco.MjModel) -> None:
-        """Read ids and joint limits from the compiled model; raise ConfigError if a default is outside the limits."""
+        """Read ids and limits from the compiled model; raise ConfigError if a joint's default is outside its limits."""
         self.qpos_ids = self._ids(int(model.joint(j).qposadr[0]) for j in self.joint_names)
         self.dof_ids = self._ids(int(model.joint(j).dofadr[0]) for j in self.joint_names)
         self.joint_ids = self._ids(int(model.joint(j).id) for j in self.joint_names)
@@ -78,7 +78,7 @@ class RobotLayout(Kept):
 
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
-    """Scale joint limits (..., 2) by ``factor`` about the middle of their range; infinite limits do not change."""
+    """Scale the ranges (..., 2) of joint limits by ``factor`` about their middles; infinite limits do not change."""
     middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
     half = half * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)
@@ -150,9 +150,9 @@ def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
     """Rotate the root link's frame about its origin without moving the robot's shapes and masses.
 
-    Use this function for robots whose file does not have x forwards and z upwards. Observations, rewards and commands
-    then refer to the new frame. ``env.robot.init_state.rot`` also refers to the new frame. ``frame`` is the orientation
-    of the new root frame in the file's root frame, a quaternion (w, x, y, z) of any length.
+    A robot needs the rotation if x is not forwards or z is not upwards in its MJCF file. Observations, rewards,
+    commands and ``env.robot.init_state.rot`` refer to the rotated frame. ``frame``, a quaternion (w, x, y, z), is the
+    orientation of the rotated frame in the MJCF file's frame.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)

@@ -21,7 +21,7 @@ from wheelleg_exp.state import Kept
 
 _PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
-_STRONGEST = 1e10  # N·m; MuJoCo's largest number, for a drive without a torque limit
+_STRONGEST = 1e10  # the torque limit of a drive without a torque limit, N·m: MuJoCo's largest number
 Values = torch.Tensor | float
 _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 
@@ -35,10 +35,10 @@ _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 class RobotWriters(Kept):
     """Methods that find joints and bodies, write the robot's state and parameters, and set joint targets.
 
-    Indices of environments and joints are tensors, lists, slices, or None, which means all of them. Poses, velocities
-    and states are in world axes. A pose is (x, y, z) and a quaternion (w, x, y, z). A velocity is a linear and an
-    angular velocity. A state is a pose and a velocity. Values of joint parameters are a tensor (n, k) for n
-    environments and k joints, or one number for all. Gains and limits have no effect on a joint without an actuator.
+    Indices are tensors, lists or slices; None means all environments or all joints. Poses and velocities are in world
+    axes. A pose is a position (x, y, z), m, and a quaternion (w, x, y, z). A velocity is linear, m/s, and angular,
+    rad/s. A state is a pose and a velocity. Joint parameters are a tensor (n, k) for n environments and k joints, or
+    one number for all joints. Actuator gains and limits have no effect on a joint without an actuator.
     """
 
     options: RobotOptions
@@ -58,7 +58,7 @@ class RobotWriters(Kept):
     _has_new_targets: bool
 
     def mark_written(self, ids: torch.Tensor) -> None:
-        """Mark the state or model fields of the environments ``ids`` as written, so that caches are recomputed."""
+        """Mark the state or parameters of the robot in the environments ``ids`` as written, which clears caches."""
         raise NotImplementedError
 
     body_names = alias_of("layout.body_names", "Names of the bodies, breadth first.")
@@ -96,11 +96,11 @@ class RobotWriters(Kept):
         *,
         key: str | None = None,
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the joints that match; raise ConfigError if an expression matches no joint.
+        """Return indices and names of the joints that expressions match; raise ConfigError if one matches no joint.
 
-        The returned indices refer to ``joint_subset`` if it is given, otherwise to all joints. With ``preserve_order``,
-        the joints are in the order of the expressions instead of the robot's order. Error messages name ``key``, the
-        config key of the expressions.
+        The returned joint indices refer to ``joint_subset`` if it is given, otherwise to all joints. With
+        ``preserve_order``, the joints are in the order of the regular expressions instead of the robot's order. Error
+        messages name ``key``, the config key of the regular expressions.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -108,11 +108,11 @@ class RobotWriters(Kept):
     def find_bodies(
         self, name_keys: str | Sequence[str], preserve_order: bool = False, *, key: str | None = None
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the bodies that match regular expressions (see ``find_joints``)."""
+        """Return indices and names of the bodies that regular expressions match, as ``find_joints`` does for joints."""
         return match_names(name_keys, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the root link's pose (n, 7)."""
+        """Set the pose (n, 7) of the root link."""
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         pose = root_pose.to(dtype)
@@ -131,7 +131,7 @@ class RobotWriters(Kept):
         self.write_root_pose_to_sim(torch.cat((position, quat), dim=1), ids)
 
     def write_root_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the velocity (n, 6) of the root body's centre of mass; the conversion uses the present orientation."""
+        """Set the velocity (n, 6) of the root body's centre of mass, given the root's present orientation."""
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         velocity = root_velocity.to(dtype)
@@ -144,7 +144,7 @@ class RobotWriters(Kept):
     write_root_com_velocity_to_sim = write_root_velocity_to_sim
 
     def write_root_link_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the velocity (n, 6) of the root link's origin; the conversion uses the present orientation."""
+        """Set the velocity (n, 6) of the root link's origin, given the root's present orientation."""
         self._require_floating()
         ids, velocity = self._rows(env_ids), root_velocity.to(self._sim.dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
@@ -174,12 +174,12 @@ class RobotWriters(Kept):
     def write_joint_state_to_sim(
         self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None
     ) -> None:
-        """Set joint positions (n, k), rad, and velocities (n, k), rad/s; the reported accelerations do not change."""
+        """Set joint positions (n, k), rad, and velocities (n, k), rad/s; reported joint accelerations do not change."""
         self.write_joint_position_to_sim(position, joint_ids, env_ids)
         self.write_joint_velocity_to_sim(velocity, joint_ids, env_ids)
 
     def write_joint_position_to_sim(self, position: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set joint positions (n, k), rad."""
+        """Set the positions (n, k) of joints, rad."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._qpos[ids.unsqueeze(1), self.layout.qpos_ids[joints]] = position.to(self._sim.dtype)
         self.mark_written(ids)
@@ -229,9 +229,9 @@ class RobotWriters(Kept):
     ) -> None:
         """Apply forces (n, k, 3), N, and torques (n, k, 3), N·m, to bodies until the next reset of ``env_ids``.
 
-        The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the link's frame. Forces and
-        torques are in link axes and rotate with the links. With ``is_global``, forces, torques and positions are in
-        world axes at the time of the call.
+        The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the frames of the links.
+        The forces and torques on a link are in link axes and rotate with the link. With ``is_global``, forces, torques
+        and positions are given in world axes, and rotate with the links after the call.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -261,13 +261,13 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # A captured CUDA graph compares the identity of the tuple, so replace the tuple only if a body is new.
+        # A captured CUDA graph compares the tuple of bodies by identity, so replace the tuple only if a body is new.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
 
     def update(self, dt: float) -> None:
-        """Do nothing, because the robot's ``data`` always shows the present state."""
+        """Do nothing, because ``data`` of the robot always shows the robot's present state."""
         del dt
 
     def _rows(self, env_ids: Ids) -> torch.Tensor:
@@ -347,7 +347,7 @@ class RobotWriters(Kept):
         sim.expand("jnt_range")[rows, places] = written.clamp(-far, far)
 
     def write_encoder_bias(self, bias: Values, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set the bias of the joints' encoders (reading minus position), rad."""
+        """Set the bias of the joints' encoders, which is the reading minus the joint position, rad."""
         self._assign(self.data.encoder_bias, self._rows(env_ids), columns(joint_ids, self.device), bias)
         self._has_new_targets = True
         self.data.invalidate()
@@ -361,10 +361,10 @@ class RobotWriters(Kept):
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """Write the parameter ``name`` of the actuators, which is a gain or a limit.
+        """Write the parameter ``name``, a gain or a limit, of the actuators.
 
-        Return the written values of each actuator group that MuJoCo's solver computes. Each entry has the slice of the
-        group's controls, the values (n, k), and the mask (k,) of the written joints.
+        Return the values that were written to each actuator group that MuJoCo's solver computes. Each returned entry
+        has the slice of an actuator group's controls, the values (n, k), and the mask (k,) of written joints.
         """
         self._has_new_targets = True  # MuJoCo's controls also depend on the actuator gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)

@@ -1,7 +1,7 @@
 """Rotations of whole tensors. Quaternions are (w, x, y, z); angles are radians.
 
-The matrices (N, 3, 3) of ``quat_to_matrix`` are stored in memory as nine rows of N numbers, so that each operation
-processes a contiguous row. Vectors (N, 3) and quaternions (N, 4) have the usual contiguous memory layout.
+In memory, the matrices (N, 3, 3) of ``quat_to_matrix`` are nine contiguous rows of N numbers, which is fast to process.
+In memory, vectors (N, 3) and quaternions (N, 4) have torch's usual contiguous layout.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ for _i in range(3):
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
 
-# The table of the Hamilton product: it adds each product a_i b_j, with a sign, to one component of the result.
+# The table of the Hamilton product: each product a_i b_j is added, with a sign, to one component of the result.
 _PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
 for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
     for _j, _to in enumerate(_row):
@@ -53,7 +53,7 @@ def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     parts, table, n = q.T.contiguous(), _on(_PRODUCTS_TO_MATRIX, q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    # A matrix-vector product sums in another order than a matrix product, so the last bit of its result would differ.
+    # The last bits of a matrix-vector product and a matrix product differ, because the two sum in different orders.
     if n == 1:
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)
@@ -76,7 +76,7 @@ def quat_mul(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
-    """Return the quaternions (n, 4) of the rotations Rz(yaw) Ry(pitch) Rx(roll) for angles (n,), as in Isaac Lab."""
+    """Return the quaternions (n, 4) of the rotations Rz(yaw) Ry(pitch) Rx(roll) for three angles (n,), rad."""
     half = torch.stack((roll, pitch, yaw), dim=1) / 2
     roll, pitch, yaw = torch.stack((half.cos(), half.sin()), dim=2).unbind(dim=1)
     products = (roll.unsqueeze(2) * pitch.unsqueeze(1)).unsqueeze(3) * yaw.view(-1, 1, 1, 2)

@@ -34,8 +34,8 @@ class Scene(Kept):
     """The ground, the robot and the sensors of N environments.
 
     Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``
-    is called, the model is a MuJoCo spec that event terms can edit. ``stream`` returns the random stream for a config
-    key.
+    is called, the scene's model is a MuJoCo spec that event terms can edit. ``stream`` returns the random stream for a
+    config key.
     """
 
     outside_graphs = ("_compiled", "spec", "options", "_sim_options")
@@ -134,12 +134,12 @@ class Scene(Kept):
 
     @property
     def cfg(self) -> SimpleNamespace:
-        """The settings of the scene that terms written for Isaac Lab read."""
+        """The scene's settings that manager terms written for Isaac Lab read."""
         return SimpleNamespace(num_envs=self.num_envs, env_spacing=self.options.env_spacing, terrain=self.terrain.cfg)
 
     @property
     def articulations(self) -> dict[str, Robot]:
-        """A dictionary with the scene's only robot, by name."""
+        """A dictionary that maps the name of the scene's only robot to the robot."""
         return {"robot": self.robot}
 
     @property
@@ -166,7 +166,7 @@ class Scene(Kept):
         return model_digest(self.model)
 
     def require_compiled_model(self) -> None:
-        """Raise ConfigError, which names the changed fields, if a term has written to the compiled model."""
+        """Raise ConfigError, which names the changed fields, if a manager term has written to the compiled model."""
         # The engine simulates a copy of the model, so a write to the original model would silently have no effect.
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
@@ -179,7 +179,7 @@ class Scene(Kept):
             )
 
     def write_data_to_sim(self) -> None:
-        """Compute the actuators' controls and write the controls and external wrenches, before each physics step."""
+        """Compute the actuators' controls, and write the controls and the external wrenches to the engine."""
         self.robot.write_data_to_sim()
 
     def unstable(self) -> torch.Tensor:
@@ -189,15 +189,15 @@ class Scene(Kept):
         return self._unstable
 
     def motion(self) -> dict[str, torch.Tensor]:
-        """Return positions and velocities of the simulations, (N, ...), by the names that failure reports use."""
+        """Return positions and velocities of the simulations, (N, ...), by the names that reports of failures use."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
     def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
-        The result has ``root_pose`` (N, 7), m and (w, x, y, z), which ``is_relative`` makes relative to the
-        environments' origins; ``root_velocity`` (N, 6) of the centre of mass in world axes, m/s and rad/s; and
-        ``joint_position`` and ``joint_velocity`` (N, J), rad and rad/s.
+        ``root_pose`` (N, 7) is in m and (w, x, y, z); ``is_relative`` makes it relative to the environments' origins.
+        ``root_velocity`` (N, 6) is that of the root's centre of mass in world axes, m/s and rad/s. ``joint_position``
+        and ``joint_velocity`` (N, J) are in rad and rad/s.
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
@@ -207,7 +207,7 @@ class Scene(Kept):
         return {"articulation": {"robot": root | joints}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return the tensors that terms may have written to (see ``Engine.asked``), by name for failure reports."""
+        """Return the tensors that terms may have written to (see ``Engine.asked``), by name, for failure reports."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
         fields = sorted({*asked} - {WRENCHES})
         return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}
@@ -230,7 +230,7 @@ class Scene(Kept):
                 sensor.reset(ids)
 
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log entries about limits that were exceeded in the episodes that end now.
+        """Return log entries about limits of sensors that were exceeded in the episodes that end now.
 
         ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step; PhysX would have
         clamped the speed. ``<sensor>_...``: entries of each sensor.
@@ -243,12 +243,12 @@ class Scene(Kept):
         return log
 
     def refresh(self) -> None:
-        """Recompute derived quantities for the present state, even if no method of the robot wrote that state."""
+        """Recompute quantities derived from the present state, even if no method of the robot wrote that state."""
         self.show_written()
         self.robot.data.invalidate()
 
     def show_written(self) -> None:
-        """Recompute derived quantities of the environments whose state the robot's methods have written."""
+        """Recompute the derived quantities of those environments whose state the robot's methods have written."""
         if self.robot.is_stale:
             ids = self.robot.take_stale()
             self.sim.forward(ids)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-_MARGIN = 1e-6  # m; margin by which the boxes are enlarged because of rounding errors
+_MARGIN = 1e-6  # m; the margin by which boxes around geoms are enlarged because of rounding errors
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,16 +34,16 @@ class GeomBoxes:
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
-        for axis in range(3):  # Comparing each axis separately is much faster than comparing (..., 3).
+        for axis in range(3):  # Comparing each axis separately is much faster than comparing tensors (..., 3).
             found &= low[:, axis, None] <= self._high[:, axis]
             found &= high[:, axis, None] >= self._low[:, axis]
         return found
 
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Clip each ray to the box around all geoms; return the lower and upper corner (n, R, 3) of the remaining part.
+        """Clip rays to the box around all geoms; return the lower and upper corners (n, R, 3) of boxes around them.
 
-        The function uses the slab method (Kay and Kajiya 1986). A ray that misses the box gets an empty box: lower
-        corner inf, upper -inf.
+        The rays are clipped by the slab method (Kay and Kajiya 1986). A ray that misses the box gets an empty box:
+        lower corner inf, upper -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -64,11 +64,11 @@ _SHOWN, _HIDDEN = 0, 1  # geom groups
 
 
 class StaticGeoms:
-    """A group of static geoms, which are equal in all simulations, so that any simulation can cast any ray.
+    """A group of static geoms, which are equal in all simulations, so that every simulation can cast all rays.
 
-    The rays are cast in a model without the robot, because MuJoCo tests each ray against every geom of a model.
-    ``alone`` returns the model that contains only the static geoms, with the same names. The function ``alone`` is
-    called at the first ray cast.
+    Rays against static geoms are cast in a model without the robot, because MuJoCo tests each ray against every geom.
+    The function ``alone`` returns a model that contains only the static geoms, with unchanged names. The function
+    ``alone`` is called at the first ray cast.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:

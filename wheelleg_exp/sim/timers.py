@@ -1,7 +1,7 @@
-"""Check on the host, without waiting for a GPU, whether countdown timers on the GPU may have expired.
+"""Check on the host, without waiting for the GPU, whether countdown timers on a GPU may have expired.
 
-A lower bound of the smallest timer is copied to the host asynchronously every few steps. While the copied bound exceeds
-the time since the copy, no timer can have expired.
+A lower bound of the smallest countdown timer is copied from the GPU to the host asynchronously every few steps. While
+the copied lower bound exceeds the time since the copy, no timer can have expired.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ _SLACK = 1e-3  # s
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return whether a timer may have expired; always True on a CPU, where reading the timers is cheap.
+    """Return whether a timer may have expired; always True for timers on a CPU, which are cheap to read.
 
-    Call this function once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since
-    the last call, s. Code that sets a timer to less than ``least`` seconds must call ``forget``.
+    This function is called once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time
+    since the last call, s. Code that sets a timer to less than ``least`` seconds must call ``forget``.
     """
     if not timers.is_cuda:
         return True
@@ -27,7 +27,7 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Drop all copied bounds, because other code has set the timers, for example a restored checkpoint."""
+    """Drop all copied bounds, because code such as the restoring of a checkpoint has set the timers."""
     _bounds.clear()
 
 

@@ -32,7 +32,7 @@ class Capacity:
 
 
 def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
-    """Return the buffer capacity for a model; ``nconmax`` and ``njmax`` are per simulation, and 0 means an estimate."""
+    """Return the contact and constraint capacities for a model; 0 for ``nconmax`` or ``njmax`` means an estimate."""
     uneven = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_MESH))
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     relief = bool((np.isin(model.geom_type, uneven) & solid).any())
@@ -48,7 +48,7 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
 
 
 class Overflow:
-    """Detects that contacts or constraint rows exceeded the capacity, without waiting for a GPU.
+    """Detects that contacts or constraint rows exceeded the engine's capacity, without waiting for a GPU.
 
     ``flags`` are mujoco-warp's overflow flags of each simulation, (N,) int: a live view that is never cleared.
     """
@@ -87,9 +87,9 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    The result of a physics step agrees with MuJoCo's result to single precision. On a GPU the order of contacts and
-    sums differs from run to run, so that two runs from the same state diverge. On the CPU, a run is bit-reproducible.
-    ConfigError if a package or a device is missing, or if mujoco-warp cannot simulate the model.
+    The engine's physics steps agree with MuJoCo's physics steps to single precision. On a GPU, two runs from one state
+    diverge, because the order of contacts and sums differs from run to run. On the CPU, a run with mujoco-warp is
+    bit-reproducible. ConfigError if a package or a device is missing, or if mujoco-warp does not support the model.
     """
 
     name = "warp"
@@ -113,7 +113,7 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # The class Overflow raises an error, so mujoco-warp need not print a warning.
+        self._m.opt.warn_overflow = 0  # Overflow raises an error, so mujoco-warp need not print a warning.
         # The number of contacts that a contact sensor searches: a power of two, at least twice the stored contacts.
         of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
         slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
@@ -134,7 +134,7 @@ class WarpEngine(Engine):
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._all_ids = torch.arange(num_envs, device=self.device)
-        from wheelleg_exp.sim import warp_kernels  # This import also imports the package Warp.
+        from wheelleg_exp.sim import warp_kernels  # Importing mujoco-warp also imports the package Warp.
 
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
@@ -146,7 +146,7 @@ class WarpEngine(Engine):
 
     @property
     def state(self) -> torch.Tensor:  # type: ignore[override]  # read-only
-        """A copy of the numbers that determine the next physics step, one row per simulation, (N, k)."""
+        """A copy of the numbers that determine the next physics step, with one row per simulation, (N, k)."""
         return torch.cat([value.reshape(self.num_envs, -1).float() for value in self._state.values()], dim=1)
 
     def view(self, name: str) -> torch.Tensor:
@@ -182,7 +182,7 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
-            # The outputs of ``set_const`` now have one value per simulation, so captured graphs are no longer valid.
+            # The outputs of ``set_const`` now have one value per simulation, which invalidates captured CUDA graphs.
             self._graphs.forget()
             for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
                 self._fields.expand(name)
@@ -190,7 +190,7 @@ class WarpEngine(Engine):
         self.forward()
 
     def step(self) -> None:
-        """Advance every simulation by one physics step; on a GPU, an overflow raises an error one or two steps late."""
+        """Advance every simulation by one physics step; on a GPU, SimulationFailure comes one or two steps late."""
         if not self._graphs.is_capturing:
             self.require_room()
         self._graphs.run("step", self._advance)

@@ -52,7 +52,7 @@ class DataFields:
         return self._views[name]
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return views of the fields that determine the next physics step, by name."""
+        """Return views of the data fields that determine the next physics step, by name."""
         names = [name for name in STATE if hasattr(self._like, name) and hasattr(self._data, name)]
         return {name: self.view(name) for name in names if self.view(name).numel()}
 
@@ -66,7 +66,7 @@ class ModelFields:
         self._first: dict[str, torch.Tensor] = {}
 
     def expand(self, name: str) -> torch.Tensor:
-        """Give a field one value per simulation and return its tensor (N, ...); raise ConfigError if impossible."""
+        """Give a model field one value per simulation; return its tensor (N, ...), or raise ConfigError."""
         if name not in self.own:
             owner, last = self._place(name)
             array: Any = getattr(owner, last, None)
@@ -84,7 +84,7 @@ class ModelFields:
         return self.own[name]
 
     def restore(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Write values (N, ...) to the named fields; all other expanded fields get the model's values."""
+        """Write values (N, ...) to the named model fields; all other expanded fields get the model's values."""
         for name in saved:
             self.expand(name)
         for name, values in self.own.items():
@@ -97,7 +97,7 @@ class ModelFields:
         return found
 
     def may_differ(self, name: str) -> bool:
-        """Return whether a field of mujoco-warp has a leading dimension for the simulations."""
+        """Return whether an array of mujoco-warp has a leading dimension for the simulations."""
         owner, last = self._place(name)
         array, like = getattr(owner, last, None), self._like(name)
         if like is None or not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):

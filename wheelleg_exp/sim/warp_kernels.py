@@ -1,4 +1,4 @@
-"""Warp kernels, each of which replaces a dozen torch kernels; Warp compiles each kernel at its first launch."""
+"""Warp kernels, each of which replaces a dozen torch kernels; Warp compiles a kernel when it is first launched."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def restore(
     initial: wp.array(dtype=wp.float32),
     huge: wp.float32,
 ) -> None:
-    """Replace NaN and magnitudes of at least ``huge`` by the initial values, in the simulations ``ids``."""
+    """Replace state values that are NaN or have a magnitude of at least ``huge`` by initial values, in ``ids``."""
     row, column = wp.tid()
     world = int(ids[row])
     if not wp.abs(values[world, column]) < huge:
@@ -23,7 +23,7 @@ def restore(
 
 @wp.kernel
 def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.array(dtype=wp.bool)) -> None:
-    """Mark the simulations that have a NaN or a value whose magnitude is at least ``huge``."""
+    """Mark the simulations in which a value is NaN or has a magnitude of at least ``huge``."""
     world = wp.tid()
     for column in range(values.shape[1]):
         if not wp.abs(values[world, column]) < huge:

@@ -21,19 +21,19 @@ DEVICE = "env.sim.device"
 
 
 def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
-    """Return Warp and mujoco-warp for a device; raise ConfigError if a package or the device does not exist."""
+    """Return the modules Warp and mujoco-warp for a device; raise ConfigError if a package or device is missing."""
     try:
         import warp as wp
 
         if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads its configuration only at its start.
             wp.config.log_level = wp.LOG_WARNING
-            # The engine needs no gradient kernels, which would double the compile time.
+            # The engine needs no gradient kernels, which would double the time of compiling Warp kernels.
             wp.config.enable_backward = False
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
-                wp.config.optimization_level = 0  # In CPU tests, compilation takes longer than the physics steps.
-                # Start Warp without its warning about a missing CUDA driver,
+                wp.config.optimization_level = 0  # In CPU tests, compiling kernels takes longer than the physics steps.
+                # Start Warp without Warp's warning about a missing CUDA driver,
                 # which Warp's C++ code writes directly to file descriptor 2.
                 sys.stderr.flush()
                 saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
@@ -54,7 +54,7 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
 
 
 def require_device(device: torch.device) -> None:
-    """Raise ConfigError if a device does not exist on this machine."""
+    """Raise ConfigError if a device does not exist on the present machine."""
     if device.type == "cpu":
         return
     count = torch.cuda.device_count()
@@ -78,11 +78,11 @@ def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
 
 
 class Graphs:
-    """Runs Warp functions in the order of torch's stream; on a GPU, the functions are captured as CUDA graphs.
+    """Runs Warp functions in the order of torch's stream; on a GPU, each function is captured as a CUDA graph.
 
-    The first call of a function runs the function directly, which compiles its kernels. The second call captures it.
-    Later calls of the function launch the captured graph. While torch captures a CUDA graph, a called function becomes
-    part of torch's graph.
+    The first call of a Warp function runs it directly, which compiles its kernels. The second call captures it. Later
+    calls of a Warp function launch the function's captured CUDA graph. A Warp function that is called while torch
+    captures a CUDA graph becomes part of torch's graph.
     """
 
     def __init__(self, wp: Any, device: torch.device, wanted: bool) -> None:
@@ -97,12 +97,12 @@ class Graphs:
         return self._device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
     def forget(self) -> None:
-        """Drop all captured graphs, because the arrays that they refer to were replaced."""
+        """Drop all captured CUDA graphs, because the arrays that the graphs refer to were replaced."""
         self._captured.clear()
 
     @contextmanager
     def here(self) -> Iterator[None]:
-        """Launch the kernels inside the ``with`` block on the device, after torch's previous kernels."""
+        """Launch the kernels inside the ``with`` block on the device, after all earlier kernels of torch."""
         wp, stream = self._wp, self._stream()
         if stream is None:  # Warp's own stream is synchronised with torch's default stream.
             with wp.ScopedDevice(self.place):
@@ -115,7 +115,7 @@ class Graphs:
                 yield
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Run a function that launches equal kernels on equal arrays in each call; ``name`` is its graph's key."""
+        """Run a function that launches equal kernels on equal arrays in each call; ``name`` names its CUDA graph."""
         if not self._wanted or self.is_capturing:
             with self.here():
                 work()

@@ -12,7 +12,7 @@ from wheelleg_exp.managers import CommandTerm, Env, bounds
 
 
 class _Ranges:
-    """The ranges of a command as attributes. Terms of Isaac Lab use ``command.cfg.ranges.lin_vel_x``."""
+    """A command's ranges as attributes, because terms written for Isaac Lab read ``command.cfg.ranges.lin_vel_x``."""
 
     def __init__(self, ranges: dict[str, Any]) -> None:
         vars(self)["_ranges"] = ranges
@@ -49,15 +49,15 @@ class RangedCommand(CommandTerm):
 
     @property
     def cfg(self) -> CommandSettings:
-        """The settings of the command under Isaac Lab's names. The ranges can be changed."""
+        """The settings of the command by their names in Isaac Lab. The ranges can be changed."""
         return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
-        """Set the ranges of a command by axis. On an axis without a range, the command is 0."""
+        """Set the ranges of a command's components by axis; the component of an axis without a range is 0."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # code outside of inference mode writes to the bounds
-            self._bounds = self._present()  # a tuple, because tensor attributes would be saved as state
+        with torch.inference_mode(False):  # code that is not in inference mode writes to the bounds
+            self._bounds = self._present()  # stored as a tuple, because tensor attributes would be saved as state
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -66,7 +66,7 @@ class RangedCommand(CommandTerm):
         return self._bounds
 
     def read_settings(self) -> None:
-        """Copy changed command ranges to the bounds in place, because CUDA graphs refer to the bounds' tensors."""
+        """Copy changed command ranges to the tensors of bounds in place, because CUDA graphs refer to these tensors."""
         if self.ranges != self._taken:
             for mine, present in zip(self._bounds, self._present(), strict=True):
                 mine.copy_(present)
@@ -80,7 +80,7 @@ class RangedCommand(CommandTerm):
 
 
 class NullCommand(CommandTerm):
-    """A command without components, for a config that requires a command."""
+    """A command without components, for a config that must contain a command."""
 
     def __init__(self, env: Env, generator: torch.Generator) -> None:
         super().__init__(env, (1.0, 1.0), (), generator)

@@ -27,9 +27,9 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformPose2dCommand(RangedCommand):
     """A position near the environment's origin and a heading, in the base's yaw axes: (x, y, z) in m, rad.
 
-    The commanded position has the height of the robot's default state. The first call of ``compute`` after a draw
-    converts the command to the base's axes. The metrics are the last errors: distance in the plane, m, and heading,
-    rad.
+    The commanded position has the root height of the robot's default state. After a command was drawn, the first call
+    of ``compute`` converts the command to the axes of the base. The metrics are the last errors: distance in the plane,
+    m, and heading, rad.
 
     Args:
         ranges: ``pos_x`` and ``pos_y`` are relative to the environment's origin, m, and ``heading`` is in world axes,
@@ -67,7 +67,7 @@ class UniformPose2dCommand(RangedCommand):
 
     @property
     def pos_command_b(self) -> torch.Tensor:
-        """Vector from the base to the commanded position, m, (N, 3), in axes that turn only with the base's yaw."""
+        """Vector from the base to the commanded position, m, (N, 3), in axes that turn with the base's yaw only."""
         return self._command[:, :3]
 
     @property
@@ -100,7 +100,7 @@ class UniformPose2dCommand(RangedCommand):
         return places
 
     def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """Return the yaw, rad, (n,), towards or away from the commanded position, whichever needs less turning."""
+        """Return the yaw, rad, (n,), of the direction towards or away from the target, whichever needs less turning."""
         data = self.robot.data
         way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
         forth = torch.atan2(way[:, 1], way[:, 0])
@@ -186,14 +186,14 @@ class UniformPoseCommand(RangedCommand):
         return self.pose_command_b
 
     def errors(self) -> torch.Tensor:
-        """Return the distance, m, and the angle, rad, between the body's pose and the commanded pose, (2, N)."""
+        """Return the distance, m, and the angle, rad, between a body's pose and the commanded pose, (2, N)."""
         data, command = self.robot.data, self.pose_command_b
         place = data.root_pos_w + rotation.rotate(rotation.quat_to_matrix(data.root_quat_w), command[:, :3])
         distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
         # The dot product of two unit quaternions is cos(angle / 2).
-        # Use the sine too, because the cosine hardly changes with the angle at small angles.
+        # Use the sine of the angle too, because the cosine of a small angle hardly changes with the angle.
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
@@ -216,9 +216,9 @@ def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_height_is_given)
 class UniformBasePoseCommand(RangedCommand):
-    """Commands the base's height above the ground, m, roll, and pitch, rad, which are uniform in their ranges.
+    """Commands the base's height above the ground, m, roll, and pitch, rad, drawn uniformly from their ranges.
 
-    ``measured`` returns the current height, roll and pitch, which rewards can compare with the command.
+    ``measured`` returns the base's present height, roll and pitch, which rewards can compare with the command.
 
     Args:
         ranges: ``height`` is the height of the root link above the ground, m; ``roll`` and ``pitch``, rad, are 0 if

@@ -29,9 +29,10 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
-    In standing environments, the command is zero. With ``heading_command``, some environments turn towards a target
-    heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. The first call of ``compute`` after a draw
-    applies standing and heading. So the observation right after ``reset`` contains the drawn values, as in Isaac Lab.
+    In environments that are drawn as standing, the velocity command is zero. With ``heading_command``, some
+    environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. After a
+    command was drawn, the first call of ``compute`` applies the standing and heading settings. As in Isaac Lab, the
+    observation right after ``reset`` contains the drawn values without these settings.
 
     Args:
         ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
@@ -77,7 +78,7 @@ class UniformVelocityCommand(RangedCommand):
 
     @property
     def vel_command_b(self) -> torch.Tensor:
-        """The current velocity command (N, 3), under Isaac Lab's name."""
+        """The present velocity command (N, 3); the attribute name is that of Isaac Lab."""
         return self._command
 
     @property
@@ -130,12 +131,11 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    Components that are drawn as zero become zero at the first call of ``compute`` after the draw. Target headings are
-    not drawn.
+    Components drawn as zero become zero at the first call of ``compute`` after the draw. Target headings are not drawn.
 
     Args:
-        ranges: The distribution is given by ``mean_vel``, ``std_vel`` and ``zero_prob``, each for v_x, v_y (m/s) and
-            w_z (rad/s).
+        ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` are means, standard deviations, and probabilities of zero
+            for v_x, v_y (m/s) and w_z (rad/s).
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # Store the moments in a tuple, because tensor attributes would be saved as state.
+        # Store the moments in stored as a tuple, because tensor attributes would be saved as state.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
@@ -171,7 +171,7 @@ _ROLLS = 0.5  # a wheel rolls along x if |wheel axis · base y axis| is at least
 class UniformVelocityTravelCommand(UniformVelocityCommand):
     """A uniform velocity command that also integrates the robot's velocity error. Not in Isaac Lab.
 
-    A policy that observes only velocities drifts at a zero command, because velocity measurements have errors. A policy
+    Because velocity measurements have errors, a policy that observes only velocities drifts at a zero command. A policy
     that observes the integrated error can hold its position, like an integral controller. The error is computed from
     quantities that a robot can measure: the rates of its wheels, assuming that they roll, and the yaw rate of its
     gyroscope.
@@ -181,8 +181,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
     approaches the drawn target (``asked``) at a limited rate.
 
     Args:
-        wheel_cfg: joints of the wheels. The forward direction of each wheel is derived from the wheel's axis in the
-            model, so that mirrored wheels are averaged correctly.
+        wheel_cfg: joints of the wheels. Each wheel's rolling direction is derived from the wheel's axis in the model,
+            so that mirrored wheels are averaged correctly.
         wheel_radius: radius of the wheels, m.
         max_travel_error: bound of the integrated distance, m; distance beyond it is forgotten.
         max_heading_error: bound of the integrated angle, rad.
@@ -224,7 +224,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # Store these acceleration limits in tuples, because tensor attributes would be saved as state.
+        # Store the acceleration limits in tuples, because tensor attributes would be saved as state.
         self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
@@ -257,9 +257,9 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
     """Return 1 for each wheel that a positive joint velocity rolls along the base's x axis, otherwise -1.
 
-    ``joint_ids`` are the indices of the wheels in ``robot.joint_names``. The wheel axes are evaluated in the robot's
-    default pose. A wheel that turns about an axis a rolls along the cross product of a and the vertical. So the sign of
-    the rolling direction is the sign of the component of a along the base's y axis.
+    ``joint_ids`` are the indices of the wheels in ``robot.joint_names``. The directions of the wheels' axes are those
+    in the robot's default pose. A wheel that turns about an axis a rolls along the cross product of a and the vertical.
+    A wheel's rolling direction has the sign of the component of the wheel's axis along the base's y axis.
     """
     data = mujoco.MjData(model)
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
@@ -279,7 +279,7 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
 
 
 def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Return the integrated distance error, m, and heading error, rad, of a travel command, (N, 2)."""
+    """Return the integrated distance error, m, and the integrated heading error, rad, of a travel command, (N, 2)."""
     term = env.command_manager.get_term(command_name)
     if not isinstance(term, UniformVelocityTravelCommand):
         expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand"

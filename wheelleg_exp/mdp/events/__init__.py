@@ -1,7 +1,7 @@
 """Event terms.
 
-The event terms have the names and the behaviour of Isaac Lab's event terms. An event term with a misleading name also
-has a second, explicit name.
+The predefined event terms have the names and the behaviour of Isaac Lab's event terms. An event term whose name in
+Isaac Lab is misleading has a second, explicit name.
 
 | module | what it changes |
 |---|---|

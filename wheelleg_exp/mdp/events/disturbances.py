@@ -24,9 +24,10 @@ def set_permanent_body_wrench(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Draw a force (N) and a torque (N·m) that act on each body's centre of mass, in link axes, until the next reset.
+    """Draw a force (N) and a torque (N·m), in link axes, that act on each body's centre of mass until the next reset.
 
-    One range of forces or torques applies to all three axes. Isaac Lab's name is ``apply_external_force_torque``.
+    One range of forces or torques applies to all three axes of a link. Isaac Lab's name is
+    ``apply_external_force_torque``.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
@@ -53,7 +54,7 @@ class push_by_adding_velocity(TermBase):
     Isaac Lab: ``push_by_setting_velocity``.
 
     Args:
-        velocity_range: The ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
+        velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
         frame: ``world``, as in Isaac Lab; or ``yaw``, level axes that turn with the robot: x forwards, y to the left.
     """
 
@@ -97,11 +98,11 @@ class set_root_velocity(push_by_adding_velocity):
 
 
 class apply_body_impulse(TermBase):
-    """Push bodies at random times with a constant force (N) and torque (N·m). The event needs the mode ``step``.
+    """Push bodies at random times with a constant force (N) and torque (N·m), in the event mode ``step``.
 
-    The force and the torque act on each body's centre of mass, in link axes, in addition to the wrenches of other
-    events. One range of forces or torques applies to all three axes, and each body gets its own random draw. Each
-    episode starts with a pause before the first push. A reset ends a push.
+    A push, in link axes, acts on each body's centre of mass, besides wrenches of other events. One range of forces or
+    torques applies to all three axes of a link, and each body gets its own random draw. Each episode starts with a
+    pause before the first push. A reset ends a push.
 
     Args:
         force_range: [low, high], N.
@@ -140,7 +141,7 @@ class apply_body_impulse(TermBase):
         return self._lows + self._spans * u
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start the episodes of ``env_ids`` with a pause. The robot's reset has already cleared the pushes."""
+        """Start the episodes of ``env_ids`` with a pause; the robot's reset has already cleared the pushes."""
         fill_rows(self._is_pushed, env_ids, False)
         fill_rows(self._push, env_ids, 0.0)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]

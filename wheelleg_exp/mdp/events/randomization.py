@@ -40,15 +40,15 @@ def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) ->
 
 
 def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
-    """Return ``env_ids`` unchanged, or the ids of all environments for None."""
+    """Return the environment ids ``env_ids`` unchanged; for None, return the ids of all environments."""
     return torch.arange(env.num_envs, device=env.device) if env_ids is None else env_ids
 
 
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
-    """Return a description of the expected pair if a pair of distribution parameters is invalid, otherwise None.
+    """Return what is wrong with a pair of distribution parameters, or None for a valid pair.
 
-    The rules are Isaac Lab's. ``least`` is the requirement for the lower bound of factors: ``above 0``, ``at least 0``,
-    or an empty text.
+    The rules are Isaac Lab's. ``least`` is the requirement for the lower bound of factors: The bound of a
+    distribution's parameters: ``above 0``, ``at least 0``, or an empty text.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -62,9 +62,9 @@ def pair_error(pair: Sequence[float], operation: str, distribution: str, least: 
 def ranges(
     above_0: Sequence[str] = (), at_least_0: Sequence[str] = (), free: Sequence[str] = ()
 ) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
-    """Return a rule that checks ranges against the operation and the distribution.
+    """Return a rule that checks an event's ranges against the event's operation and distribution.
 
-    The factors of the ranges named in ``above_0`` must be above 0, and those of the ranges named in ``at_least_0`` must
+    Factors in the ranges that ``above_0`` names must be above 0; factors in the ranges that ``at_least_0`` names must
     be at least 0. ``free`` pairs are free.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
@@ -82,12 +82,12 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 class randomize_rigid_body_material(TermBase):
-    """Give each collision shape of each environment one of ``num_buckets`` random materials.
+    """Give each collision shape of the robot in each environment one of ``num_buckets`` random materials.
 
     PhysX averages the friction coefficients of two touching shapes, but MuJoCo takes the larger coefficient. To match
-    PhysX, the robot's shapes get a higher contact priority and the mean friction (robot + ground) / 2. MuJoCo has only
-    one Coulomb friction coefficient, which ``env.robot.friction_source`` selects (static or dynamic). The restitution
-    is drawn and stored in ``materials``, but has no effect in MuJoCo.
+    PhysX, the robot's shapes get the mean friction (robot + ground) / 2 and a higher priority than the ground. MuJoCo
+    has only one Coulomb friction coefficient, which ``env.robot.friction_source`` selects (static or dynamic). A
+    restitution is drawn and stored in ``materials``, but has no effect in MuJoCo.
 
     Args:
         static_friction_range: [low, high].
@@ -152,7 +152,7 @@ def randomize_rigid_body_mass(
 ) -> None:
     """Change body masses (kg) relative to the default masses.
 
-    The bodies' inertias scale with their masses, and the centres of mass do not change.
+    The bodies' inertias scale with the bodies' masses, and the bodies' centres of mass do not change.
     """
     robot = env.scene[asset_cfg.name]
     chosen = all_ids(env, env_ids)
@@ -182,9 +182,9 @@ def randomize_rigid_body_inertia(
 ) -> None:
     """Change each principal moment of inertia (kg·m^2) relative to its default value. Masses do not change.
 
-    As for every physical body, each moment of inertia is at most the sum of the body's two other moments; it is also at
-    least ``min_inertia``. This term and ``randomize_rigid_body_mass``, which scales moments with the mass, both start
-    from the model's values: on one body the later term overwrites the earlier one.
+    Each moment of inertia is at least ``min_inertia`` and, as for every physical body, at most the sum of the body's
+    two other moments. This term and ``randomize_rigid_body_mass``, which scales moments with the mass, both start from
+    the model's values: on one body the later term overwrites the earlier one.
     """
     robot, sim = env.scene[asset_cfg.name], env.scene.sim
     ids, bodies = all_ids(env, env_ids), robot.body_ids[asset_cfg.body_ids]
@@ -205,9 +205,9 @@ def randomize_rigid_body_com_cumulative(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Add a random offset (m, link axes) to the current centres of mass, one offset per environment.
+    """Add one random offset (m, link axes) per environment to the bodies' present centres of mass.
 
-    If the event runs repeatedly, the offsets accumulate.
+    If the event runs repeatedly, the offsets of the centres of mass accumulate.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
@@ -235,7 +235,7 @@ def randomize_actuator_gains(
     distribution: Distribution = "uniform",
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of each joint's actuator relative to the values in the config.
+    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of each joint's actuator relative to the config's values.
 
     Negative gains become 0. Actuators with a neural network have no gains; their stiffness and damping remain NaN.
     """
@@ -261,8 +261,8 @@ class randomize_joint_parameters(TermBase):
     """Change friction, armature and position limits of each joint relative to the model's values.
 
     As in Isaac Lab, the range of friction applies to the joint's friction loss (N·m) and, with a separate draw, to its
-    viscous friction (N·m·s/rad). Negative values of friction and armature become 0. The soft limits change together
-    with the position limits, and default positions are clamped to the soft limits.
+    viscous friction (N·m·s/rad). Negative values of a joint's friction or armature become 0. The joints' soft limits
+    change together with the position limits, and default positions are clamped to soft limits.
 
     Args:
         friction_distribution_params: for friction loss and viscous friction; null keeps both.
@@ -330,10 +330,10 @@ class randomize_joint_parameters(TermBase):
 class randomize_encoder_bias(TermBase):
     """Draw the bias of each joint's encoder, rad: the reading is position + bias.
 
-    Drives control the biased encoder reading, so the joint's true position differs from the target by the bias.
-    Observations contain the biased reading (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), and
-    actions relative to the current position use the biased reading. Rewards and terminations use the joint's true
-    position.
+    A joint's drive controls the biased encoder reading, so the joint's true position differs from the target by the
+    bias. Observations contain the biased reading (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), and
+    actions relative to the current position use the biased reading. Rewards and terminations use the joints' true
+    positions, without encoder biases.
 
     Args:
         bias_range: [low, high], rad, drawn for each joint.
@@ -378,8 +378,8 @@ def randomize_physics_scene_gravity(
     """Change gravity (m/s^2, world axes) relative to ``env.sim.gravity``. Each axis is drawn separately.
 
     As in Isaac Lab, one gravity vector applies to all environments, including environments that are not reset. With
-    ``per_env``, each environment in which the event runs gets its own gravity. The observation ``projected_gravity``
-    always uses the direction of ``env.sim.gravity``.
+    ``per_env``, each environment in which the event runs gets its own gravity vector. The observation
+    ``projected_gravity`` always uses the direction of ``env.sim.gravity``.
     """
     sim = env.scene.sim
     default = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)

@@ -18,14 +18,14 @@ _ROBOT = SceneEntityCfg("robot")
 
 
 class reset_root_state_uniform(TermBase):
-    """Place the root at the sum of its default position, the environment's origin, and a uniform offset.
+    """Place the root at the sum of the root's default position, the environment's origin, and a uniform offset.
 
-    The orientation is ``quat = default * euler_xyz(U)``, in body axes. The velocity is that of the centre of mass in
-    world axes.
+    The root's orientation is ``quat = default * euler_xyz(U)``, in body axes. The drawn velocity is that of the root's
+    centre of mass in world axes.
 
     Args:
-        pose_range: The ranges are ``x``, ``y``, ``z`` in m, and ``roll``, ``pitch``, ``yaw`` in rad.
-        velocity_range: The ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
+        pose_range: The pose ranges are ``x``, ``y``, ``z`` in m, and ``roll``, ``pitch``, ``yaw`` in rad.
+        velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
     settings = ("_low", "_high")
@@ -55,12 +55,12 @@ class reset_root_state_uniform(TermBase):
         robot.write_root_velocity_to_sim(start[:, 7:13] + u[:, 6:12], ids)
 
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
-        """Return root orientations (n, 4), given default orientations (n, 4) and random Euler angles (n, 3), rad."""
+        """Return root orientations (n, 4) from default orientations (n, 4) and random Euler angles (n, 3), rad."""
         return rotation.quat_mul(default, rotation.quat_from_euler_xyz(*euler.unbind(dim=1)))
 
 
 class reset_root_state_with_random_orientation(reset_root_state_uniform):
-    """Place the root as ``reset_root_state_uniform`` does, with an orientation that is uniform on SO(3)."""
+    """Place the root as ``reset_root_state_uniform`` does, but with an orientation that is uniform on SO(3)."""
 
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
         del default
@@ -68,15 +68,15 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 
 
 class reset_root_state_from_terrain(TermBase):
-    """Place the root above a random flat patch of the environment's tile, with a random orientation.
+    """Place the root above a random flat patch of the environment's terrain tile, with a random orientation.
 
-    The patch is one of the patches ``init_pos`` in the ground's ``flat_patches``. The root's default position is added
-    to the position of the patch; the default orientation has no effect. The velocity is that of the root's centre of
-    mass in world axes.
+    The flat patch is one of those named ``init_pos`` in the ground's ``flat_patches``. The root's default position is
+    added to the position of the flat patch; the root's default orientation has no effect. The drawn velocity is that of
+    the root's centre of mass in world axes.
 
     Args:
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
-        velocity_range: The ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
+        velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
     settings = ("_low", "_high")
@@ -121,9 +121,9 @@ def reset_joints_by_scale(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Set joint positions and velocities to their defaults times uniform factors, within soft limits.
+    """Set joint positions and velocities to their defaults times uniform factors, clipped to the soft limits.
 
-    A default position or velocity of 0 remains 0.
+    Scaling leaves a default joint position or velocity of 0 unchanged.
     """
     _reset_joints(env, env_ids, torch.mul, (position_range, velocity_range), generator, asset_cfg)
 
@@ -136,7 +136,7 @@ def reset_joints_by_offset(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Set joint positions (rad) and velocities (rad/s) to their defaults plus uniform offsets, within soft limits."""
+    """Set joint positions (rad) and velocities (rad/s) to their defaults plus uniform offsets, clipped to limits."""
     _reset_joints(env, env_ids, torch.add, (position_range, velocity_range), generator, asset_cfg)
 
 
@@ -157,7 +157,7 @@ def _reset_joints(
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
     """Reset the robot to its default root and joint state.
 
-    With ``reset_joint_targets``, also reset the joint targets.
+    With ``reset_joint_targets``, the event resets the joint targets too.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene.robot

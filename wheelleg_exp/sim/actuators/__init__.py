@@ -1,7 +1,7 @@
 """Actuator models, which compute MuJoCo controls from joint targets before each physics step.
 
-The names and parameters of the actuator models follow Isaac Lab. Every model except ``ImplicitActuator`` computes its
-torque from the state before each physics step.
+The names and parameters of the actuator models follow Isaac Lab. Every actuator model except ``ImplicitActuator``
+computes its torque from the robot's state before each physics step.
 """
 
 from wheelleg_exp.sim.actuators.actuator_base import (

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
-# Every joint of an actuator group needs a value of each parameter in this list.
+# Every joint of an actuator group needs a value of each parameter in ``NEEDED``.
 NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
@@ -37,8 +37,7 @@ class ActuatorBase(Stateful):
 
     A checkpoint saves the tensors that the method ``state`` returns. Each parameter of an actuator model is one number
     for all joints, or a mapping from regular expressions of joint names to numbers. Once the simulations run,
-    ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors of the shape (N, joints of the
-    group).
+    ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the actuator group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
@@ -52,7 +51,7 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # The flag is False if the controls depend only on joint targets.
+    reads_state: ClassVar[bool] = True  # False for an actuator model whose controls depend only on joint targets.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 
@@ -73,7 +72,7 @@ class ActuatorBase(Stateful):
         self.delay: TargetDelay | None = None
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the actuator model's files from the robot's folder, before any other method is called.
+        """Read the actuator model's files from the robot's folder; this method is called before all other methods.
 
         ``key`` is the config key of the actuator group.
         """
@@ -95,7 +94,7 @@ class ActuatorBase(Stateful):
         self._per_joint = per_joint
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Write the joints' armatures to the MuJoCo spec, and add one MuJoCo actuator with each joint's name."""
+        """Write the joints' armatures to the MuJoCo spec, and add a MuJoCo actuator, named like the joint, for each."""
         for index, name in enumerate(self.joint_names):
             armature = self._per_joint["armature"][index]
             if armature is not None:
@@ -148,15 +147,15 @@ class ActuatorBase(Stateful):
         return value
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group) for joint targets and the state before a physics step."""
+        """Return the MuJoCo controls (N, joints of the actuator group) for the given joint targets and robot state."""
         raise NotImplementedError("an actuator model must define the method 'control(targets, data)'")
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the unclipped torque, N·m, (N, joints of the group), at the start of the last physics step."""
+        """Return the unclipped joint torques at the start of the last physics step, N·m, (N, joints of the group)."""
         raise NotImplementedError("an actuator model must define the method 'computed_torque(targets, data)'")
 
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
-        """Return the PD torque kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, of the robot's joints, (N, J)."""
+        """Return the torques kp (q* - q) + kd (qd* - qd) + tau_ff of the robot's J joints, N·m, (N, J)."""
         ids = self._columns
         return (
             self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])

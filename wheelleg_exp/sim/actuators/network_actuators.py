@@ -1,6 +1,6 @@
 """Learned drives: networks that were trained on measurements of a real drive.
 
-The TorchScript file of a drive's neural network is stored next to the robot's file, in the folder ``NETWORKS``. The
+The TorchScript file of an actuator's neural network lies in the folder ``NETWORKS`` next to the robot's MJCF file. The
 command that starts a run copies the TorchScript file from the user's asset folders into the run directory.
 """
 
@@ -49,9 +49,9 @@ _RUNS_AT_LOADING = b"__setstate__"
 class Network(Kept):
     """A neural network with constant weights, loaded from a TorchScript file.
 
-    TorchScript code can read and write files, even while torch loads it. Therefore a TorchScript file is rejected with
-    ConfigError if it contains operations that neural networks do not need. ``key`` is the config key of the TorchScript
-    file.
+    A TorchScript file can contain code that reads and writes files, even while torch loads the file. A TorchScript file
+    that contains operations that neural networks do not need is rejected with ConfigError. ``key`` is the config key of
+    the TorchScript file.
     """
 
     def __init__(self, file: Path, key: str, device: torch.device | None) -> None:
@@ -86,12 +86,12 @@ class Network(Kept):
         return dict(self._module.state_dict())
 
     def __call__(self, *inputs: Any) -> Any:
-        """Run the network without TorchScript's optimisation passes, which change the last bits of the results."""
+        """Run a neural network without TorchScript's optimisation passes, which change the last bits of the outputs."""
         with torch.no_grad(), torch.jit.optimized_execution(False):
             return self._module.forward(*inputs)
 
     def tried(self, *inputs: Any, count: int) -> Any:
-        """Run the network once; raise ConfigError if the network fails or does not return ``count`` torques."""
+        """Run a neural network once; raise ConfigError if the network fails or does not return ``count`` torques."""
         try:
             found = self(*inputs)
             torques = found[0] if isinstance(found, tuple) else found
@@ -112,7 +112,7 @@ def _kinds(block: Any) -> Iterator[str]:
 
 
 class ActuatorNet(DCMotor):
-    """An actuator whose neural network computes torques, limited by a torque-speed line; its PD gains are NaN.
+    """An actuator without PD gains, whose neural network computes torques that a torque-speed line limits.
 
     Args:
         network_file: the TorchScript file, below an asset folder.
@@ -144,11 +144,11 @@ class ActuatorNet(DCMotor):
 
 
 class ActuatorNetMLP(ActuatorNet):
-    """A perceptron that maps position errors and speeds of the last physics steps to torques (Hwangbo et al., 2019).
+    """A perceptron that maps joint position errors and speeds of past physics steps to torques (Hwangbo et al., 2019).
 
-    The network's input is a tensor (rows, 2 len(input_idx)) with one row per joint. The network's output is one number
-    per row. Position errors and speeds from before the start of an episode count as 0. The actuator ignores velocity
-    targets and feed-forward efforts.
+    The network's input is a tensor (rows, 2 len(input_idx)) with one row per joint. The network's output has one number
+    per row of the network's input. Joint position errors and joint speeds from before the start of an episode count as
+    0. An actuator with a neural network ignores velocity targets and feed-forward efforts.
 
     Args:
         pos_scale: factor on position errors.
@@ -202,12 +202,12 @@ class ActuatorNetMLP(ActuatorNet):
 
 
 class ActuatorNetLSTM(ActuatorNet):
-    """An LSTM that computes torques from the present position errors and speeds (Rudin et al., 2022).
+    """An LSTM that computes torques from the present joint position errors and speeds (Rudin et al., 2022).
 
-    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. The network's inputs are a tensor (rows,
-    1, 2), with one row per joint, and the LSTM's hidden state. The network's outputs are one torque per row, N·m, and
-    the LSTM's new hidden state. The LSTM's hidden state is 0 at the start of an episode. The actuator ignores velocity
-    targets and feed-forward efforts.
+    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. The inputs of the network are a tensor
+    (rows, 1, 2), with one row per joint, and the hidden state of its LSTM. The outputs of the network are one torque
+    per joint, N·m, and the new hidden state of its LSTM. The hidden state of an actuator's LSTM is 0 at the start of an
+    episode. An actuator with a neural network ignores velocity targets and feed-forward efforts.
     """
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:

@@ -1,4 +1,4 @@
-"""PD actuators inside and outside of MuJoCo's solver, and motors with a speed- or position-dependent torque limit."""
+"""PD actuators inside and outside of MuJoCo's solver, and motors whose torque limit depends on speed or position."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ImplicitActuator(ActuatorBase):
         actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        del data  # MuJoCo's solver subtracts the feedback kp q + kd qd.
+        del data  # MuJoCo's solver subtracts the feedback kp q + kd qd from the control.
         ids = self._columns
         control = self.stiffness * targets.pos[:, ids]
         control += self.damping * targets.vel[:, ids]
@@ -74,7 +74,7 @@ LookupRow = Annotated[Sequence[float], Length(3)]
 
 
 class DCMotor(IdealPDActuator):
-    """A PD actuator with the torque limit of a direct-current motor at the joint's present speed.
+    """A PD actuator whose torque limit is that of a direct-current motor at the joint's present speed.
 
     The line from the stall torque ``saturation_effort`` to the no-load speed ``velocity_limit`` and the constant
     ``effort_limit`` bound the torque:
@@ -83,7 +83,7 @@ class DCMotor(IdealPDActuator):
         tau <= min(saturation_effort (1 - v / velocity_limit), effort_limit)
         tau >= max(saturation_effort (-1 - v / velocity_limit), -effort_limit)
 
-    Above the speed at which the torque-speed line reaches ``-effort_limit``, the motor brakes with ``effort_limit``.
+    Above the speed where its torque-speed line reaches ``-effort_limit``, a motor brakes with ``effort_limit``.
 
     Args:
         effort_limit: largest torque at any speed, N·m.
@@ -156,10 +156,9 @@ def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_angles_rise)
 class RemotizedPDActuator(DelayedPDActuator):
-    """A ``DelayedPDActuator`` whose largest torque depends on the joint's position, for example because of a linkage.
+    """A ``DelayedPDActuator`` whose largest torque depends on the joint's position, for example due to a linkage.
 
-    The lookup table of the largest torques is interpolated linearly between its rows, and is constant before the first
-    row and after the last row.
+    The largest torque is interpolated linearly between a lookup table's rows, and is constant outside of the table.
 
     Args:
         joint_parameter_lookup: rows of joint position, rad; transmission ratio, which is ignored; and largest torque,

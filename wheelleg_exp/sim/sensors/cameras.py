@@ -62,16 +62,16 @@ class CameraData(Kept):
 
     @property
     def quat_w_ros(self) -> torch.Tensor:
-        """Orientation of the camera (w, x, y, z), (N, 4); its x axis points right, y down, and z forward."""
+        """Orientation of the camera, (w, x, y, z), (N, 4), with its x axis to the right, y axis down, z axis ahead."""
         return convert_convention(self.quat_w_world, "world", "ros")
 
     @property
     def quat_w_opengl(self) -> torch.Tensor:
-        """Orientation of the camera (w, x, y, z), (N, 4); its x axis points right, y up, and z backward."""
+        """Orientation of the camera, (w, x, y, z), (N, 4), with its x axis to the right, y axis up, z axis backward."""
         return convert_convention(self.quat_w_world, "world", "opengl")
 
     def add_output(self, data_type: str, channels: int, dtype: torch.dtype) -> None:
-        """Allocate the memory for the images of one data type."""
+        """Allocate the memory for a camera's images of one data type."""
         size = (len(self.pos_w), *self.image_shape, channels)
         self.output[data_type] = torch.zeros(size, dtype=dtype, device=self.pos_w.device)
 
@@ -106,7 +106,7 @@ def in_world_convention(offset: CameraOffset | None) -> Offset:
 
 
 def opengl_quat(offset: Offset) -> list[float]:
-    """Return a camera's orientation (w, x, y, z) in the convention ``opengl``, which MuJoCo's cameras use."""
+    """Return the orientation (w, x, y, z) of a camera in the convention ``opengl``, which MuJoCo's cameras use."""
     quat: list[float] = convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
     return quat
 
@@ -141,22 +141,23 @@ def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
 @relation(_range_of_angles)
 @relation(camera_offset_fits)
 class Camera(LazySensor):
-    """A camera on a body that MuJoCo renders separately for each environment; use it for few environments.
+    """A camera on a robot's body, for few environments, because MuJoCo renders each environment separately.
 
     The first read of an image needs a graphics driver that renders without a display (EGL or OSMesa). The image of an
-    environment shows only the robot of that environment and the ground. The image's colours come from the compiled
-    model and its lights. With one graphics driver, equal states give equal images.
+    environment shows only the robot of that environment and the ground. The colours of images come from the compiled
+    model and its lights. With one graphics driver, equal simulation states give equal images.
 
     Args:
         body_name: expression of the body.
         width: px.
         height: px.
         data_types: kinds of images: ``rgb`` (uint8, 3 channels), ``rgba``, ``distance_to_image_plane`` or ``depth`` (m,
-            along the axis), ``distance_to_camera`` (m, along the pixel's ray), ``semantic_segmentation`` (ground or
-            robot), ``instance_segmentation_fast`` (bodies), ``instance_id_segmentation_fast`` (geoms), int32.
-        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, and ``convention`` of the
-            camera's axes. A camera of the convention ``world`` looks along x, with z up; ``ros`` looks along z, with -y
-            up; ``opengl`` looks along -z, with y up.
+            along the camera's axis), ``distance_to_camera`` (m, along the pixel's ray), and int32
+            ``semantic_segmentation`` (ground or robot), ``instance_segmentation_fast`` (bodies),
+            ``instance_id_segmentation_fast`` (geoms).
+        offset: the camera's position ``pos``, m, and orientation ``rot``, (w, x, y, z), in the body's frame, and
+            ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
+            up, in ``ros``; and along -z, with y up, in ``opengl``.
         focal_length: in the unit of the apertures; only their ratio matters.
         horizontal_aperture: width of the image plane.
         vertical_aperture: height of the image plane; null makes pixels square.
@@ -165,7 +166,7 @@ class Camera(LazySensor):
         fovy: vertical angle of view, rad, instead of the apertures; pixels are square.
         clipping_range: nearest and farthest visible distance along the axis, m.
         depth_clipping_behavior: distance of a pixel that sees nothing. The value ``none`` gives inf, ``zero`` gives 0,
-            and ``max`` gives the largest distance.
+            and ``max`` the largest distance.
         max_num_envs: maximum number of environments, because each image takes milliseconds.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
@@ -293,21 +294,21 @@ RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
 
 @relation(camera_offset_fits)
 class RayCasterCamera(RayCaster):
-    """A depth camera on a body; it casts rays, sees only the ground, and suits any number of environments.
+    """A depth camera on a body of the robot, for any number of environments; the camera's rays hit only the ground.
 
-    The camera needs no graphics driver. The distance of a pixel is the length of the ray through its centre.
+    The depth camera needs no graphics driver. A pixel's distance is the length of the ray through the pixel's centre.
 
     Args:
         body_name: expression of the body.
         pattern: the pixels, a ``PinholePattern``.
         data_types: types of the images, ``distance_to_image_plane`` or ``depth`` (m, along the camera's axis) and
             ``distance_to_camera`` (m, along the pixel's ray).
-        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, and ``convention`` of the
-            camera's axes. A camera of the convention ``world`` looks along x, with z up; ``ros`` looks along z, with -y
-            up; ``opengl`` looks along -z, with y up.
+        offset: the camera's position ``pos``, m, and orientation ``rot``, (w, x, y, z), in the body's frame, and
+            ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
+            up, in ``ros``; and along -z, with y up, in ``opengl``.
         max_distance: longest ray, m.
         depth_clipping_behavior: distance of a pixel that sees nothing. The value ``none`` gives inf, ``zero`` gives 0,
-            and ``max`` gives the largest distance.
+            and ``max`` the largest distance.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 

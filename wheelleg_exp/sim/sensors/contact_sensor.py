@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # The sizes of a contact's fields in MuJoCo's order; the normal component is the first component of the force.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
 FIELDS = tuple(_SIZES)
-NORMAL = ("found", "force", "normal")  # The contact fields from which the normal force is computed.
+NORMAL = ("found", "force", "normal")  # The names of the contact fields from which a sensor computes the normal force.
 
 
 def width(fields: tuple[str, ...]) -> int:
@@ -35,8 +35,8 @@ def width(fields: tuple[str, ...]) -> int:
 
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Return the sum over S contacts of pressure (N, B, 1, S) times normal (N, B, S, 3), as a tensor (N, B, 3)."""
-    if pressures.is_cuda:  # On a GPU, a batched product of tiny matrices is ten times slower than this sum.
+    """Return the sum over S contacts of normal force (N, B, 1, S) times contact normal (N, B, S, 3), (N, B, 3)."""
+    if pressures.is_cuda:  # On a GPU, a batched matrix product would be ten times slower than this sum.
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
 
@@ -44,7 +44,7 @@ def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
 class ContactPairs:
     """Reads the contacts of B sensed bodies with M other bodies from the engine's sensor values, (N, B * M, S, W).
 
-    The contact normal points away from the sensed body. ``fields`` selects some of the contact quantities in
+    The normal of each contact points away from the sensed body. ``fields`` selects some of the contact quantities in
     ``FIELDS``.
     """
 
@@ -53,20 +53,20 @@ class ContactPairs:
         self._bodies = bodies
 
     def normal_forces(self) -> torch.Tensor:
-        """Return the normal force on each sensed body from each other body, (N, B, M, 3), newtons, world axes."""
+        """Return the normal force on each of B sensed bodies from each of M other bodies, newtons, (N, B, M, 3)."""
         return self._of_pairs(summed(self._parts["force"][..., 0].unsqueeze(2), self._parts["normal"]).neg_())
 
     def friction_forces(self) -> torch.Tensor:
-        """Return the friction force on each sensed body from each other body, (N, B, M, 3), newtons, world axes."""
+        """Return the friction force on each of B sensed bodies from each of M other bodies, newtons, (N, B, M, 3)."""
         tangent = self._parts["tangent"]
         across = torch.linalg.cross(self._parts["normal"], tangent)
         _, along, aside = self._parts["force"].split(1, dim=-1)
         return self._of_pairs((along * tangent + aside * across).sum(dim=2).neg_())
 
     def points(self) -> torch.Tensor:
-        """Return the mean contact position of each pair of bodies, m, (N, B, M, 3), world axes; NaN without contact."""
+        """Return the mean contact position of each sensed body with each other body, m, (N, B, M, 3), or NaN."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # Entries without a contact are zero.
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # Sensor values without a contact are zero.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -88,7 +88,7 @@ def _time(name: str, doc: str) -> property:
 class ContactSensorData(Kept):
     """Measurements of a contact sensor for N environments and B bodies; the suffix ``_w`` means world axes.
 
-    Reading a quantity that the sensor does not track raises ConfigError. ``history_length`` is T physics steps.
+    Reading a quantity that the contact sensor does not track raises ConfigError. ``history_length`` is T physics steps.
 
     Attributes:
         forces: net normal force of each step in the history, N, (N, B, 3), newest first.
@@ -103,7 +103,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # The force history, created when it is first read.
+        self._history: torch.Tensor | None = None  # The force history, which is created when code first reads it.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -113,24 +113,24 @@ class ContactSensorData(Kept):
 
     @property
     def net_forces_w(self) -> torch.Tensor:
-        """Net normal force on each body in the last physics step, (N, B, 3), in newtons."""
+        """Sum of the normal forces on each sensed body in the last physics step, (N, B, 3), in newtons."""
         return self.forces[0]
 
     @property
     def net_forces_w_history(self) -> torch.Tensor:
-        """History of the net normal force on each body, (N, T, B, 3), in newtons, newest first."""
+        """Sum of the normal forces on each sensed body in T measurements, (N, T, B, 3), newtons, newest first."""
         if self._history is None:
             self._history = torch.stack(self.forces, dim=1)
             self.forces[:] = self._history.unbind(dim=1)
         return self._history
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
-        """Replace the force history by a sequence of tensors (N, B, 3), newest first."""
-        self.forces[:] = forces  # Change the list in place, because captured CUDA graphs refer to the list.
+        """Replace the force history by a sequence of tensors (N, B, 3), with the newest force first."""
+        self.forces[:] = forces  # Change the list of forces in place, because captured CUDA graphs refer to the list.
         self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
-        """Add a force sample (N, B, 3) and drop the oldest sample, in the environments of the mask ``due`` (N,)."""
+        """Add forces (N, B, 3) to the force history in the environments of the mask ``due`` (N,)."""
         kept = [newest, *self.forces[:-1]]
         if due is not None:
             rows = due.view(-1, 1, 1)
@@ -152,7 +152,7 @@ class ContactSensorData(Kept):
     def take_pairs(
         self, newest: torch.Tensor, points: torch.Tensor | None, friction: torch.Tensor | None, due: torch.Tensor | None
     ) -> None:
-        """Add a force sample (N, B, M, 3) of each pair of a sensed and a filtered body, as ``take_forces`` does."""
+        """Add the forces (N, B, M, 3) of each pair of a sensed and a filtered body to the histories of these pairs."""
         filtered = torch.cat((newest.unsqueeze(1), self.force_matrix_w_history[:, :-1]), dim=1)
         for name, value in {"filtered": filtered, "points": points, "friction": friction}.items():
             if value is not None and due is not None:
@@ -170,7 +170,7 @@ class ContactSensorData(Kept):
 
     @property
     def force_matrix_w_history(self) -> torch.Tensor:
-        """Past normal forces on each sensed body from each filtered body, (N, T, B, M, 3), newtons, newest first."""
+        """Last T normal forces on each sensed body from each filtered body, (N, T, B, M, 3), newtons, newest first."""
         if self.filtered is None:
             self._refuse("forces are not separated by body", "filter_body_names", "the other bodies, or ground")
         return self.filtered
@@ -219,7 +219,7 @@ class ContactSensorData(Kept):
             self._refuse("contact and air times are not tracked", "track_air_time", expected)
 
     def reset(self, ids: torch.Tensor) -> None:
-        """Set the contact forces and times of the environments ``ids`` to zero."""
+        """Set the contact forces, contact times and air times of the environments ``ids`` to zero."""
         self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
         for name, value in self.of_pairs().items():
             setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
@@ -232,7 +232,7 @@ _WIDTH = width(NORMAL)
 
 
 class ContactSensor(SensorBase):
-    """Sum of the normal contact forces on each body in the last physics step, in world axes; friction is not included.
+    """Sum of the normal contact forces on each sensed body in the last physics step, in world axes.
 
     Args:
         body_names: expressions of the sensed bodies.
@@ -331,19 +331,19 @@ class ContactSensor(SensorBase):
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
     def max_force_norm(self) -> torch.Tensor:
-        """Return the largest contact force of each body over the history, (N, B), in newtons."""
+        """Return the largest contact force of each sensed body over the force history, (N, B), in newtons."""
         if self._largest_norm is None:
             norms = (torch.linalg.vector_norm(force, dim=-1) for force in self.data.forces)
             self._largest_norm = functools.reduce(torch.maximum, norms)
         return self._largest_norm
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
-        """Return a mask (N, B) of the bodies that touched down within the last ``dt`` seconds."""
+        """Return a mask (N, B) of the sensed bodies that touched down within the last ``dt`` seconds."""
         time = self.data.current_contact_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
-        """Return a mask (N, B) of the bodies that left the ground within the last ``dt`` seconds."""
+        """Return a mask (N, B) of the sensed bodies that left the ground within the last ``dt`` seconds."""
         time = self.data.current_air_time
         return (time > 0.0) & (time < dt + 1e-8)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class ImuNoise(Kept):
-    """Noise and bias of an accelerometer (m/s^2) or a gyroscope (rad/s), independent for each axis.
+    """Noise and bias of an accelerometer (m/s^2) or a gyroscope (rad/s), drawn independently for each axis.
 
     Args:
         std: standard deviation of the white noise of each measurement.
@@ -60,8 +60,8 @@ class ImuData(Kept):
 class Imu(SensorBase):
     """A sensor of the pose, velocities and accelerations of a frame on a body, like Isaac Lab's ``Imu``.
 
-    Accelerations are finite differences of velocity over the last physics step. Velocities that events write have no
-    effect on the measured accelerations. After a reset, the measured accelerations are 0 until the next physics step.
+    Accelerations are finite differences of the IMU's velocities over the last physics step. Velocities that events
+    write have no effect on the measured accelerations. After a reset, accelerations are 0 until the next physics step.
 
     Args:
         body_name: expression of the body.
@@ -152,7 +152,7 @@ class Imu(SensorBase):
         return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
 
     def _show(self, due: torch.Tensor | None) -> None:
-        """Measure the environments in the mask ``due`` (None means all) and write the results to ``data``."""
+        """Measure in the environments of the mask ``due`` (None means all), and write the results to ``data``."""
         body = self._mount.rot_w
         rot = body @ self._turn
         velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)

@@ -50,19 +50,19 @@ class RayCasterData(Kept):
 
 @relation(offset_fits)
 class RayCaster(LazySensor):
-    """A sensor that casts rays from a body; only the ground stops the rays. Rays are cast when ``data`` is read.
+    """A sensor that casts rays from a body of the robot when ``data`` is read; only the ground stops the rays.
 
     Args:
         body_name: expression of the body.
         pattern: the rays.
-        offset: ``pos``, m, (x, y, z), shifts the origins of the rays, and ``rot``, (w, x, y, z), rotates the directions
-            of the rays, in the frame of ``ray_alignment``.
-        ray_alignment: ``base`` rotates the rays' origins and directions with the body; ``yaw`` rotates only the
-            origins, by the body's yaw; ``world`` does not rotate the rays.
+        offset: ``pos``, m, shifts the origins of the rays, and ``rot``, (w, x, y, z), rotates their directions, in the
+            frame of ``ray_alignment``.
+        ray_alignment: ``base`` rotates the rays' origins and directions with the body, ``yaw`` rotates only their
+            origins by the body's yaw, ``world`` rotates nothing.
         max_distance: longest ray, m.
         drift_range: range of a position error along each world axis, drawn at each reset, m.
         ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the origins of the rays in
-            the aligned frame, and ``z`` shifts the hit points up.
+            the frame of ``ray_alignment``, and ``z`` shifts the hit points up.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
@@ -111,7 +111,7 @@ class RayCaster(LazySensor):
 
     @property
     def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Origins of the rays, m, (R, 3), or (1, 3) if equal, and unit directions (R, 3), in the aligned frame."""
+        """Origins of R rays, m, (R, 3), or (1, 3) if equal, and unit directions (R, 3), in the sensor's frame."""
         return self._starts, self._directions
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -135,8 +135,8 @@ class RayCaster(LazySensor):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the rays' origins, m, directions (n, R, 3), and lengths, m, (n, R); a negative length means no hit.
 
-        ``pos`` is the position of the body, m, (n, 3); ``drift`` has the position errors of the current episodes, m,
-        (n, 6).
+        ``pos`` is the position of the sensor's body, m, (n, 3); ``drift`` has the sensor's position errors in this
+        episode, m, (n, 6).
         """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])

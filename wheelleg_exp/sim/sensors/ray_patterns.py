@@ -22,11 +22,11 @@ class PatternBase(Kept):
     """A pattern of rays: one YAML node in a ray caster, from this package or user-defined."""
 
     def rays(self, device: torch.device) -> Rays:
-        """Return the origins, m, (R, 3), and the directions (R, 3) of all rays; no direction may have length 0."""
+        """Return the origins, m, (R, 3), and the directions (R, 3) of R rays; no direction may have the length 0."""
         raise NotImplementedError("a pattern needs 'rays(device)'")
 
     def checked_rays(self, device: torch.device) -> Rays:
-        """Return the rays; raise ConfigError if the method ``rays`` returns an invalid result."""
+        """Return the rays of a pattern; raise ConfigError if the pattern's method ``rays`` has an invalid result."""
         if type(self).__module__ == __name__:
             # Torch's meta device gives the shape of the rays without allocating memory.
             count = len(self.rays(torch.device("meta"))[0])
@@ -134,9 +134,9 @@ class BpearlPattern(PatternBase):
 
 
 class PinholePattern(PatternBase):
-    """Rays through the centres of the pixels of a camera that looks along x, row by row from the upper left.
+    """Rays through the centres of a camera's pixels, row by row from the upper left; the camera looks along x.
 
-    ``intrinsics`` has the rows of the camera's intrinsic matrix, in pixels.
+    ``intrinsics`` has the rows of a camera's intrinsic matrix, in pixels.
 
     Args:
         width: px.

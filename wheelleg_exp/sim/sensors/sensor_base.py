@@ -1,4 +1,4 @@
-"""Base classes of sensors, which measure after each physics step or on the first read, and their mount on a body."""
+"""Base classes of sensors that measure after each physics step, and of sensors that measure when they are read."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 class SensorBase(Kept):
     """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
-    A subclass adds its elements to the MuJoCo spec, connects to the running simulations, and measures in the method
-    ``measure``. The tensors of a sensor have the shape (N, ...) and are on the engine's device. The method
-    ``state_dict`` must return everything that later measurements depend on. The scene sets ``name`` and ``terrain``
-    before it calls ``add_to``. The attribute names of ``data`` are those of Isaac Lab's sensor data.
+    A subclass of the sensor class adds elements to the MuJoCo spec, and defines the method ``measure``, which measures.
+    The tensors of a sensor have the shape (N, ...) and are on the engine's device. The method ``state_dict`` must
+    return everything that the sensor's later measurements depend on. The scene sets a sensor's ``name`` and ``terrain``
+    before it calls the sensor's ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
@@ -48,16 +48,16 @@ class SensorBase(Kept):
 
     @property
     def cfg(self) -> SensorBase:
-        """Return the sensor itself, because terms written for Isaac Lab read settings from ``sensor.cfg``."""
+        """Return the sensor, because terms written for Isaac Lab read the sensor's settings from ``sensor.cfg``."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
-        """Add the sensor's elements to the uncompiled MuJoCo spec; raise ConfigError if a name does not exist."""
+        """Add the sensor's elements to the uncompiled MuJoCo spec; raise ConfigError if a named body does not exist."""
         del spec, robot
         self.name, self.body_names = name, []
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Connect the sensor to the running simulations, once, after the scene has been compiled.
+        """Connect the sensor to the running simulations; the scene calls this method once, after compiling the model.
 
         ``stream`` returns the sensor's random stream; a sensor without random numbers does not call ``stream``.
         """
@@ -68,9 +68,9 @@ class SensorBase(Kept):
         self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
 
     def update(self) -> None:
-        """After a physics step, measure the environments whose update period has passed.
+        """After a physics step, measure in the environments in which the sensor's update period has passed.
 
-        As in Isaac Lab, each environment has its own timer, and the first step of an episode is measured.
+        As in Isaac Lab, each environment has its own timer, and the sensor measures in an episode's first step.
         """
         if self.update_period == 0.0:
             self.measure(None, self._dt)
@@ -81,20 +81,20 @@ class SensorBase(Kept):
         self._elapsed.masked_fill_(due, 0.0)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Measure the environments in the mask ``due`` (N,); None means all environments.
+        """Measure in the environments of the mask ``due`` (N,); None means all environments.
 
-        ``elapsed`` is the time since the last measurement, s, (N,) or one number for all environments.
+        ``elapsed`` is the time since the sensor's last measurement, s, (N,) or one number for all environments.
         """
         raise NotImplementedError("a sensor must define the method 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start new episodes of the environments ``env_ids``, before reset events write the new state."""
+        """Start a new episode of the sensor in the environments ``env_ids``, before reset events run."""
         fill_rows(self._is_new, env_ids, True)
         if self.update_period > 0.0:
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Measure the environments ``env_ids`` after a reset, so that the first observation shows the new state."""
+        """After a reset, measure in the environments ``env_ids``, so that the first observation shows the new state."""
         new = env_ids[self._is_new[env_ids]]
         if len(new):
             due = torch.zeros_like(self._is_new).index_fill_(0, new, True)
@@ -109,7 +109,7 @@ class SensorBase(Kept):
     def find_bodies(
         self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of matching sensed bodies; raise ConfigError if an expression matches no body."""
+        """Return indices and names of sensed bodies that expressions match; raise ConfigError if one matches none."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def state_dict(self) -> dict[str, Any]:
@@ -124,7 +124,7 @@ class SensorBase(Kept):
 
 
 def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
-    """Raise ConfigError if an overriding method did not call the base class's method, which sets ``attribute``."""
+    """Raise ConfigError if a subclass's method did not call the overridden method, which sets ``attribute``."""
     if not hasattr(sensor, attribute):
         method = call.partition("(")[0]
         message = f"'{dotted_name(sensor)}.{method}' does not call the base class's method"
@@ -133,10 +133,10 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 
 
 class LazySensor(SensorBase):
-    """A sensor that measures only when ``data`` is read, at most once per state; ``sense`` writes to ``_data``.
+    """A sensor that measures only when ``data`` is read, at most once per state; its method ``sense`` measures.
 
-    A lazy sensor with an update period stores its measurements. Such a sensor measures at the reset and at the first
-    physics step after each period, even if ``data`` is not read. Reading ``data`` never changes the results of a lazy
+    A lazy sensor with an update period stores its measurements. A lazy sensor with an update period measures at a reset
+    and once after each period, even if nobody reads ``data``. Reading ``data`` never changes the results of a lazy
     sensor.
 
     Args:
@@ -148,7 +148,7 @@ class LazySensor(SensorBase):
         self._data: Any = None
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Measure the environments ``ids``; a slice means all environments."""
+        """Measure in the environments ``ids``; a slice means all environments."""
         raise NotImplementedError("a lazy sensor must define the method 'sense(ids)'")
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
@@ -214,7 +214,7 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
 
 
 def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
-    """Make a property that reads one attribute of the robot's data for the root, and another for all other links."""
+    """Make a property that reads the robot's attribute ``of_root`` for the root link, and ``of_bodies`` for others."""
 
     def get(self: Mount) -> torch.Tensor:
         # The root's pose and velocity are part of the state, but the engine must compute those of all other links.
@@ -225,7 +225,7 @@ def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
 
 
 class Mount(Kept):
-    """The robot's body on which a sensor is mounted; raise ConfigError unless the expression matches one body."""
+    """The robot's body on which a sensor is mounted; raise ConfigError unless a regular expression matches one body."""
 
     def __init__(self, expression: str, robot: Robot, key: str) -> None:
         found, names = robot.find_bodies([expression], key=key)

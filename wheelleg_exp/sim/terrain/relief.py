@@ -17,10 +17,10 @@ from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
 
 @dataclass(frozen=True)
 class Tile:
-    """The heights of one terrain tile, m; the first index is along x, the second index along y.
+    """The heights of one terrain tile, m; the array's first index is along x, the second index along y.
 
-    The heights (nx + 1, ny + 1) belong to the corners of the grid's squares. With ``boxes``, the heights (nx, ny)
-    belong to the squares, which have vertical edges.
+    The heights (nx + 1, ny + 1) belong to the corners of the squares of the tile's grid. With ``boxes``, the heights
+    (nx, ny) of a tile belong to squares with vertical edges.
     """
 
     heights: npt.NDArray[np.float32]
@@ -28,7 +28,7 @@ class Tile:
 
     @property
     def cells(self) -> tuple[int, int]:
-        """The number of grid squares along x and y."""
+        """The numbers of grid squares of a tile along x and y."""
         nx, ny = self.heights.shape
         return (nx, ny) if self.boxes else (nx - 1, ny - 1)
 
@@ -62,7 +62,7 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # the memory stride between neighbours along x
+        along_x = cells[..., 1] + slanted  # the memory stride between neighbouring heights along x
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
@@ -79,7 +79,7 @@ _MARGIN = 0.001  # the margin that Isaac Lab uses when it assigns sub-terrains t
 
 @dataclass(frozen=True)
 class Layout:
-    """The arguments that generate a ground (see ``TerrainGenerator``)."""
+    """The arguments of ``TerrainGenerator`` that determine the generated ground."""
 
     size: tuple[float, float]
     num_rows: int
@@ -95,10 +95,10 @@ class Layout:
 
 @dataclass(frozen=True)
 class Relief:
-    """A generated ground, with coordinates relative to the centre of the ground.
+    """A generated ground, whose coordinates are relative to the ground's centre.
 
-    ``tiles`` are in order of rows. ``kinds`` (the index of each tile's sub-terrain) and ``difficulties`` have the shape
-    (rows, cols), and ``origins``, m, (rows, cols, 3). Flat ``patches``, m, have the shape (rows, cols, P, 3), by name.
+    ``tiles`` are in order of rows. ``kinds`` (indices of the tiles' sub-terrains) and ``difficulties`` have the shape
+    (rows, cols), ``origins``, m, (rows, cols, 3). Flat ``patches``, m, have the shape (rows, cols, P, 3), by name.
     """
 
     tiles: Sequence[Tile]
@@ -109,7 +109,7 @@ class Relief:
 
 
 def make_relief(layout: Layout) -> Relief:
-    """Generate the ground; equal arguments give an equal ground. Raise ConfigError if a terrain tile cannot be made."""
+    """Generate the ground, equally for equal arguments. Raise ConfigError if a terrain tile cannot be made."""
     rng = np.random.default_rng(layout.seed)
     shape = (layout.num_rows, layout.num_cols)
     names, parts = list(layout.sub_terrains), list(layout.sub_terrains.values())

@@ -13,9 +13,9 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-# Do not import annotations from __future__ here, because annotations must be types, not strings.
+# Do not import annotations from __future__ here, because the fields' annotations must be types, not strings.
 # User-defined dataclasses in other modules inherit the annotations of this module.
-_POINTS = 10  # number of points on each ring around a patch whose heights are compared, as in Isaac Lab
+_POINTS = 10  # the number of points, on each ring around a flat patch, whose heights are compared, as in Isaac Lab
 _ROUNDS = 1000
 
 
@@ -23,8 +23,8 @@ _ROUNDS = 1000
 class FlatPatches(Kept):
     """Flat patches of a tile: random positions are drawn until enough of them have level ground around them.
 
-    The height of a flat patch is the height of its centre. The ranges of x, y, and z are relative to the tile's origin,
-    and are clipped to the tile.
+    A flat patch has the ground's height at its centre. The ranges of a flat patch's x, y, and z are relative to the
+    tile's origin, and are clipped to the tile.
 
     Args:
         num_patches: number of patches per tile, P.
@@ -50,9 +50,9 @@ class FlatPatches(Kept):
         rng: np.random.Generator,
         key: str,
     ) -> Array:
-        """Return flat patches (P, 3), m, relative to the tile's origin; raise ConfigError if too few exist.
+        """Return flat patches (P, 3), m, relative to the tile's origin; raise ConfigError if too few patches exist.
 
-        ``height_at`` returns heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) is the
+        ``height_at`` returns the heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) is the
         tile's origin, m, ``size`` has the tile's edge lengths, m, and ``key`` is the config key of the patches.
         """
         half, ranges = np.array(size) / 2, np.array([self.x_range, self.y_range])
@@ -75,14 +75,14 @@ class FlatPatches(Kept):
         raise ConfigError(message, key=key, expected="a smaller patch_radius, a larger max_height_diff or wider ranges")
 
 
-EDGE = 1e-9  # m; a point at most this far outside an edge counts as inside
+EDGE = 1e-9  # a point at most this far outside of a tile's edge counts as inside the tile, m
 
 
 @dataclass(frozen=True)
 class Grid:
     """The grid points of a tile's heights, m, relative to the tile's centre; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    ``half`` has half the edge lengths of the area inside the tile's flat rim, m.
+    ``half`` has half of the edge lengths of the area inside a tile's flat rim, m.
     """
 
     x: Array
@@ -91,11 +91,11 @@ class Grid:
 
     @property
     def to_edge(self) -> Array:
-        """Distance of each grid point from the tile's nearest edge, m, (nx, ny), positive inside the tile."""
+        """Distance of each grid point from the nearest edge of its tile, m, (nx, ny), positive inside the tile."""
         return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + EDGE
 
     def is_within(self, width: float) -> npt.NDArray[np.bool_]:
-        """Return a mask (nx, ny) of the grid points that are inside the central square of the given width."""
+        """Return a mask (nx, ny) of the grid points inside the central square of a tile, which has the given width."""
         return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE <= width / 2
 
 
@@ -103,7 +103,7 @@ class Grid:
 class SubTerrain(Kept):
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. The tile's heights become boxes with vertical edges, or a height field whose edges are
+    A subclass returns heights. A tile's heights become boxes with vertical edges, or a height field whose edges are
     steep slopes. Each box slows down all environments a little; a height field slows down only the robots on it.
 
     Args:
@@ -123,13 +123,13 @@ class SubTerrain(Kept):
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return the tile's heights at the grid points, m, (nx, ny); equal arguments must give equal heights.
 
-        The difficulty is 0 for the easiest tile and 1 for the hardest tile; ``rng`` is the ground's random generator.
+        The difficulty is 0 for the easiest and 1 for the hardest tile; ``rng`` is the ground's random generator.
         """
         raise NotImplementedError
 
 
 def at(difficulty: float, interval: Any) -> float:
-    """Interpolate a range ``[easiest, hardest]`` at a difficulty between 0 and 1."""
+    """Interpolate a terrain parameter's range ``[easiest, hardest]`` at a difficulty between 0 and 1."""
     low, high = interval
     return float(low + difficulty * (high - low))
 
@@ -181,9 +181,9 @@ class UniformNoise(SubTerrain):
 
 @dataclass(kw_only=True)
 class PyramidSlope(SubTerrain):
-    """A pyramid with a level top and four faces of equal slope.
+    """Terrain tile of a pyramid with a level top and four faces of equal slope.
 
-    In Isaac Lab, the slope of the pyramid's faces decreases from the centre line of each side to the corners.
+    In Isaac Lab, the slope of a pyramid's faces decreases from the centre line of each face to the corners.
 
     Args:
         slope_range: angle of the easiest and the hardest tile, rad.
@@ -203,7 +203,7 @@ class PyramidSlope(SubTerrain):
 
 @dataclass(kw_only=True)
 class Waves(SubTerrain):
-    """Waves ``h = A / 2 (cos(k y) + sin(k x))`` from the tile's corner, with ``k = 2 pi num_waves / (edge along y)``.
+    """Waves of height ``A / 2 (cos(k y) + sin(k x))``, with ``k = 2 pi num_waves / (edge of the tile along y)``.
 
     Args:
         amplitude_range: the amplitude A of the easiest and the hardest tile, m; the heights are between -A and A.
@@ -223,8 +223,8 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The lattice starts at the tile's first point inside the flat rim. If the lattice started at the edge of a flat rim
-    of half a grid square, every height would be the mean of four draws, with half of their standard deviation.
+    The lattice of random heights starts at a tile's first point inside the flat rim. If the lattice of heights started
+    half a grid square earlier, each height would be the mean of four draws, with half of their standard deviation.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,7 +235,7 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return each point's lattice interval and relative position in the interval, and the number of intervals."""
+    """Return each point's lattice interval, each point's relative position in it, and the number of intervals."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
@@ -247,7 +247,7 @@ def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray,
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # position of the second step between platform (0) and edge (1), as in Isaac Lab
+_SECOND = 0.6  # the position of the second step between the platform (0) and the tile's edge (1), as in Isaac Lab
 
 
 @dataclass(kw_only=True)
@@ -263,7 +263,7 @@ class Flat(SubTerrain):
 
 @dataclass(kw_only=True)
 class PyramidStairs(SubTerrain):
-    """Pyramid stairs that rise from all four sides to a level top.
+    """Terrain tile of stairs that rise from all four sides of the tile to a level top.
 
     Args:
         step_height_range: step height of the easiest and the hardest tile, m.
@@ -287,7 +287,7 @@ class PyramidStairs(SubTerrain):
 
 @dataclass(kw_only=True)
 class RandomGrid(SubTerrain):
-    """A grid of squares with random heights from U(-a, a).
+    """Terrain tile of a grid of squares with random heights from U(-a, a).
 
     Args:
         grid_width: edge of a square, m.
@@ -311,10 +311,10 @@ class RandomGrid(SubTerrain):
 
 @dataclass(kw_only=True)
 class DiscreteObstacles(SubTerrain):
-    """Level ground with blocks and pits at random positions; where two obstacles overlap, the later obstacle counts.
+    """Level ground with blocks and pits at random positions; where two overlap, the ground has the later one's height.
 
     Args:
-        obstacle_height_mode: ``fixed`` gives all obstacles one height h; ``choice`` draws h, h/2, -h/2, or -h.
+        obstacle_height_mode: ``fixed`` gives all obstacles one height h; ``choice`` draws from h, h/2, -h/2, -h.
         obstacle_width_range: shortest and longest edge, m.
         obstacle_height_range: height of the easiest and the hardest tile, m.
         num_obstacles: number of obstacles.
@@ -342,7 +342,7 @@ class DiscreteObstacles(SubTerrain):
 
 @dataclass(kw_only=True)
 class SteppingStones(SubTerrain):
-    """Stepping stones in rows along x; harder tiles have narrower stones with wider holes between the stones.
+    """Stepping stones in rows along x; the stones become narrower, and the holes wider, with the difficulty.
 
     Args:
         stone_height_max: largest size of a stone's height, drawn from U(-max, max), m.
@@ -375,7 +375,7 @@ class SteppingStones(SubTerrain):
 
 @dataclass(kw_only=True)
 class Gap(SubTerrain):
-    """A level square with a gap around it.
+    """Terrain tile of a level square with a gap around it.
 
     Args:
         gap_width_range: width of the gap on the easiest and the hardest tile, m.
@@ -396,7 +396,7 @@ class Gap(SubTerrain):
 
 @dataclass(kw_only=True)
 class Rails(SubTerrain):
-    """Two square rails around the centre of the tile.
+    """Terrain tile of two square rails around the centre of the tile.
 
     Args:
         rail_thickness_range: thickness of the inner and the outer rail, m.
@@ -420,7 +420,7 @@ class Rails(SubTerrain):
 
 @dataclass(kw_only=True)
 class Box(SubTerrain):
-    """A raised square in the centre, with one or two steps.
+    """Terrain tile with a raised square in its centre, which has one or two steps.
 
     Args:
         box_height_range: height of a step on the easiest and the hardest tile, m.

@@ -19,11 +19,11 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
-_FAR = 1e3  # m; the height at which a probe's rays start
+_FAR = 1e3  # the height at which vertical rays start, m
 
 
 class Probe:
-    """Measures the ground's heights by rays. The first measurement compiles a model of the ground."""
+    """Measures the ground's heights by vertical rays in a model that contains only the ground."""
 
     def __init__(self, add_to: Callable[[mujoco.MjSpec], None]) -> None:
         self._add_to = add_to
@@ -56,8 +56,8 @@ GROUND_GROUP = 0  # The geom group that is reserved for the ground.
 class TerrainBase(Kept):
     """The ground (``env.scene.terrain``): one YAML node, from this package or user-defined.
 
-    MuJoCo has no restitution, and only one friction coefficient. The config key ``env.robot.friction_source`` selects
-    the static or the dynamic friction coefficient.
+    MuJoCo has no restitution, and one friction coefficient instead of a static and a dynamic one. The config key
+    ``env.robot.friction_source`` selects the static or the dynamic friction coefficient.
 
     Args:
         static_friction: the ground's coefficient at rest.
@@ -112,10 +112,10 @@ class TerrainBase(Kept):
         return grid_origins(num_envs, spacing, device)
 
     def read_files(self, folder: Path) -> None:
-        """Read the ground's files from the robot's folder, before any other method is called."""
+        """Read the ground's files from the robot's folder; the scene calls this method before all other methods."""
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        """Compute the origins of all environments; the scene calls this method once, before ``add_to``.
+        """Compute the origins of all environments; the scene calls this method once, before the method ``add_to``.
 
         ``spacing`` is the distance between neighbouring environments on a grid, m. ``stream`` returns the ground's
         random stream; a ground without random numbers does not call ``stream``.
@@ -157,10 +157,10 @@ class TerrainBase(Kept):
             self._require_shape("height_at", self.height_at(points), tuple(points.shape[:-1]))
 
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
-        """Move the environments ``env_ids`` (n,) to a harder or an easier tile in their column, by masks (n,) bool.
+        """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
-        As in Isaac Lab, an environment that passes the last row moves to a random row, and no environment leaves the
-        first row downwards. The method has no effect on a ground without tiles.
+        As in Isaac Lab, an environment moves from the last row to a random row, and from the first row never to an
+        easier tile. On a ground without tiles, moving environments has no effect.
         """
         if self.terrain_origins is None:
             return
@@ -174,8 +174,8 @@ class TerrainBase(Kept):
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
         """Return the ground's height (...) at world points (..., 2), m; 0 for points without ground.
 
-        A subclass may override ``height_at`` with a formula. By default, vertical rays from above measure the ground's
-        height.
+        A subclass may override ``height_at`` with a formula. By default, ``height_at`` measures the ground's height by
+        vertical rays from above.
         """
         return self._probe.height_at(xy)
 
@@ -185,7 +185,7 @@ class TerrainBase(Kept):
 
     @property
     def has_formula(self) -> bool:
-        """Whether ``height_at`` evaluates a formula instead of casting rays, which takes longer."""
+        """Whether ``height_at`` evaluates a formula; rays, the alternative, take longer."""
         return type(self).height_at is not TerrainBase.height_at
 
     def state_dict(self) -> dict[str, Any]:
@@ -200,7 +200,7 @@ class TerrainBase(Kept):
 
 
 def is_ground(name: str) -> bool:
-    """Return whether a geom of the scene belongs to the ground."""
+    """Return whether a geom of the scene is part of the ground."""
     return name == GROUND or name.startswith(f"{GROUND}/")
 
 
@@ -219,7 +219,7 @@ def grid_origins(num_envs: int, spacing: float, device: torch.device | None = No
 
 
 class Plane(TerrainBase):
-    """An infinite plane at height 0; ``TerrainBase`` defines its friction and restitution."""
+    """An infinite plane at height 0 as the ground; ``TerrainBase`` defines the plane's friction and restitution."""
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         look: dict[str, Any] = {"friction": [self.dynamic_friction, 0.005, 0.0001], "rgba": [0.35, 0.38, 0.42, 1]}

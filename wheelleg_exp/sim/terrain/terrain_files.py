@@ -79,7 +79,7 @@ class _FromFile(TerrainBase):
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return one of the ``start`` positions for each environment, m, (N, 3), in turn; robots never collide."""
+        """Return ``start`` positions for the environments, m, (N, 3), used in turn, because robots never collide."""
         del spacing
         start = torch.tensor(self._start, device=device)
         xy = start[torch.arange(num_envs, device=device) % len(start)]
@@ -155,7 +155,7 @@ class Mesh(_FromFile):
     """Terrain from a mesh in world coordinates; rays from above convert the mesh to a height field.
 
     In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces of the mesh below an overhang
-    are lost.
+    are not part of the ground.
 
     Args:
         file: a ``.obj`` or ``.stl`` file in the world's axes, relative to an asset folder.

@@ -23,12 +23,12 @@ _COLOUR = (0.35, 0.38, 0.42, 1.0)
 
 
 def add_geom(spec: mujoco.MjSpec, name: str, friction: float, **what: Any) -> None:
-    """Add one geom of the ground to the scene's MuJoCo spec."""
+    """Add one of the ground's geoms to the scene's MuJoCo spec."""
     spec.worldbody.add_geom(name=name, friction=[friction, 0.005, 0.0001], rgba=_COLOUR, **what)
 
 
 def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
-    """Add a box of the ground between two corners (3,), m."""
+    """Add a box between two corners (3,), m, to the ground."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=(low + high) / 2)
 
@@ -36,9 +36,9 @@ def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike,
 def add_tile(
     spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
 ) -> None:
-    """Add a terrain tile as a height field or boxes that extend a tenth of the tile's edge below the lowest height.
+    """Add a terrain tile as a height field or as boxes; both extend a tenth of the tile's edge below its lowest height.
 
-    ``name`` is the name of the geom or the prefix of the boxes' names; ``centre`` and ``size`` are in m.
+    ``name`` is the name of the tile's geom or the prefix of its boxes' names; ``centre`` and ``size`` are in m.
     """
     heights = tile.heights.astype(float)
     corner = np.array(centre) - np.array(size) / 2
@@ -74,8 +74,8 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
             started[run] = i
 
 
-ORIGIN_WINDOW = 0.25  # edge of the central window as a share of a tile's edge
-_BYTES = 40  # bytes of memory per grid square in NumPy, torch and MuJoCo
+ORIGIN_WINDOW = 0.25  # the edge of a tile's central window as a share of the tile's edge
+_BYTES = 40  # the memory per grid square in NumPy, torch and MuJoCo, bytes
 
 
 def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -88,9 +88,9 @@ def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
 class TerrainGenerator(TerrainBase):
     """Terrain of tiles in rows along x and columns along y, centred on the world's origin.
 
-    With ``curriculum``, all tiles of a column are of one sub-terrain, chosen by the sub-terrains' proportions. The
-    difficulty of row i is then ``low + (high - low) (i + U(0, 1)) / rows``. Without ``curriculum``, the sub-terrain and
-    the difficulty of each tile are random.
+    With ``curriculum``, all tiles of a column are of one sub-terrain, chosen by the sub-terrains' proportions. With
+    ``curriculum``, the difficulty of row i is ``low + (high - low) (i + U(0, 1)) / rows``. Without ``curriculum``, the
+    sub-terrain and the difficulty of each tile are random.
 
     Args:
         size: edges of a tile along x and y, m.
