@@ -198,5 +198,5 @@ def test_a_tab_offers_folders_and_robot_files(tmp_path):
 
 def test_no_project_is_created_inside_the_program_itself(monkeypatch):
     monkeypatch.chdir(ROOT / "docs")
-    assert "inside wheelleg_exp itself" in refusal("new", "myrobot")
+    assert "inside the package wheelleg_exp itself" in refusal("new", "myrobot")
     assert not (ROOT / "docs" / "myrobot").exists()

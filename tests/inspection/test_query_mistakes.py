@@ -64,7 +64,7 @@ MISTAKES: list[tuple[Call, str]] = [
     (lambda *_: recording_plots.require_path(Path("figure.gif")), ".png, .svg or .pdf"),
     (lambda played, _: term_statistics(played, ["base.pitch"], Selection(iterations=(1, 2))), "one of step, sim_time"),
     *((parsed(parse_length, text, "--around"), "0.5s") for text in ("", "s", "5 m", "1e999s", "nan", "0x10", "5 5s")),
-    *((parsed(parse_iterations, text), "not an iteration") for text in ("", "a", "5-", "-5", "1.5", "5-x")),
+    *((parsed(parse_iterations, text), "not a training iteration") for text in ("", "a", "5-", "-5", "1.5", "5-x")),
 ]  # fmt: skip
 
 
