@@ -263,7 +263,9 @@ def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
 def test_a_source_that_was_not_kept_is_told(run, clone):
     change_record(run, patch=None, status="patch_too_large", note="the patch has 80 MB")
     change_manifest(run)
-    assert "source of the run was not captured (patch_too_large): the patch has 80 MB" in refused(run, "--repository", clone)
+    assert "source of the run was not captured (patch_too_large): the patch has 80 MB" in refused(
+        run, "--repository", clone
+    )
 
 
 def test_code_from_before_replays_is_told(run, tmp_path):
