@@ -44,7 +44,7 @@ class EnvAttributes:
     def save(self) -> dict[str, Any]:
         """Return the attributes of the environment that terms have added or changed.
 
-        Raise ConfigError if a term holds state outside itself and the environment.
+        Raise ConfigError if a term holds state outside of the term's own attributes and the environment.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()

@@ -124,7 +124,7 @@ class IsaacLabAttributes(Kept):
 
     @property
     def sim(self) -> Simulation:
-        """The simulation object that terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
+        """The simulation object that manager terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
         return Simulation(self)  # type: ignore[arg-type]
 
     @property
