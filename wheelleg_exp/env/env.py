@@ -190,7 +190,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return observations, self.extras
 
     def _skipped(self) -> torch.Tensor | None:
-        """Return a mask (N,) of the environments that only reset in this step (``autoreset="next_step"``), or None."""
+        """Return a mask (N,) of the environments that only reset in the present step (autoreset ``next_step``), or None."""
         if self.autoreset != "next_step":
             return None
         return self.termination_manager.dones & (self.episode_length_buf > 0)
@@ -206,7 +206,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _update_and_act(self) -> None:
-        """Read the result of a physics step, and apply the same action again for the next physics step."""
+        """Read the result of a physics step, and apply the control step's action for the next physics step."""
         self.scene.update()
         self.observation_manager.sample_between()
         self.action_manager.apply_action()
@@ -332,7 +332,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @host_part
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
-        """Run the events of a user-defined mode, then update all quantities that are derived from the state."""
+        """Run the events of a user-defined mode, and update all quantities that are derived from the robot's state."""
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 

@@ -1,8 +1,8 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
 The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. Without the
-capture of CUDA graphs, each call of a captured part runs the method. With graph capture, ``GraphCapture`` runs a part
-of the step a few times, records a CUDA graph, and then replays the recording.
+capture of CUDA graphs, each call of a captured part runs the method. ``GraphCapture`` runs a part of the step a few
+times, records a CUDA graph, and from then on replays the graph.
 
 A CUDA graph repeats kernels on fixed memory and does not run Python. The capture has to find out which attributes the
 Python code of a part of the step reads and writes. The contract for the objects that a part uses (terms, managers,

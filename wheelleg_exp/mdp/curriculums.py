@@ -165,7 +165,7 @@ class command_range_levels(TermBase):
 
     A ratio measures tracking: the sum of a tracking reward over an episode, divided by the sum that perfect tracking
     gives in a full-length episode. The mean tracking ratio is evaluated at most once per full episode length. If the
-    mean ratio exceeds ``threshold``, every command range grows by ``step`` on both sides, up to ``limit_ranges``. Isaac
+    mean tracking ratio exceeds ``threshold``, each range grows by ``step`` on both sides, up to ``limit_ranges``. Isaac
     Lab's library does not have this curriculum; some projects have it as ``lin_vel_cmd_levels`` or
     ``ang_vel_cmd_levels``.
 

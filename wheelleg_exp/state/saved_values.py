@@ -52,7 +52,7 @@ GENERATORS: dict[str, Generator] = {
 class Kept:
     """Marks objects whose state other code saves.
 
-    An object that refers to a ``Kept`` object does not save the ``Kept`` object's state again.
+    An object that refers to a ``Kept`` object does not save the state of the ``Kept`` object.
     """
 
 

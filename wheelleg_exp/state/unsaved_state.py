@@ -142,9 +142,9 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners``, whose
-    attributes are saved, may share memory with a tensor that ``others`` returns. The two tensors must share memory from
-    the start until the end, so that a write reaches both tensors.
+    Two tensors of one object that share memory always raise ConfigError. A tensor of a saved object in ``owners`` may
+    share memory with a tensor that the function ``others`` returns. The two tensors must share memory from the start
+    until the end, so that a write reaches both tensors.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
