@@ -190,7 +190,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return observations, self.extras
 
     def _skipped(self) -> torch.Tensor | None:
-        """Return a mask (N,) of the environments that only reset in the present step (autoreset ``next_step``), or None."""
+        """Return a mask (N,) of the environments that only reset in a step (``autoreset="next_step"``), or None."""
         if self.autoreset != "next_step":
             return None
         return self.termination_manager.dones & (self.episode_length_buf > 0)

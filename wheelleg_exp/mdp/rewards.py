@@ -389,7 +389,7 @@ def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
-    """Sum of (air time - ``threshold``), s, over all feet that touched down in the last control step.
+    """Sum of (air time - ``threshold``), s, over all feet that touched down in the control step.
 
     0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air and contact times.
     """
