@@ -138,7 +138,7 @@ class Values:
     def move_rebound(self, found: Sequence[Slot]) -> None:
         """For each tensor that a part of the step rebinds, provide static memory that all recordings share."""
         moved = []
-        # Tensors made in inference mode cannot be written in place later, outside of inference mode.
+        # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
             for slot in (slot for slot in found if slot.id in self.rebound):
                 value, static = slot.get(), self._statics.get(slot.id)

@@ -158,7 +158,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":
-            # With autoreset next_step or disabled, failed environments still show their last state, which can be NaN.
+            # With autoreset next_step or disabled, failed environments show their last state, which can be NaN.
             require_finite_observations(self, is_noted=True)
         ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras

@@ -13,7 +13,7 @@ from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
-# Attributes that the environment itself or its caller changes, and that therefore are not state of terms.
+# Attributes that the environment or the environment's caller changes, and that are not state of terms.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 
 

@@ -42,9 +42,9 @@ from wheelleg_exp.state.object_graph import Slot, is_plain
 _RUNS_BEFORE_CAPTURE = 2
 # The largest number of recordings of one part. A reset needs a recording for each number of environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# The capture counts how often a combination of values occurred in this number of past runs of a part.
+# The number of past runs of a part in which the capture counts how often a combination of values occurred.
 _WINDOW = 1024
-# A warning appears once there are this many more runs without a graph than runs with a graph.
+# A warning appears once the runs without a CUDA graph outnumber the runs with a CUDA graph by this number.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -128,7 +128,7 @@ class CudaGraph:
         except Exception as error:
             # A capture that fails at its end leaves its own stream as torch's current stream.
             torch.cuda.set_stream(stream)
-            # Random generators of a failed capture stay blocked until another capture ends, so capture one kernel here.
+            # Random generators of a failed capture stay blocked until a later capture ends, so capture one kernel here.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
             cause = (failed or [error])[0]  # Prefer the error of the recorded work, because it names the term.
@@ -285,7 +285,7 @@ class CapturedPart:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # Drop all recordings, because their keys lack the values of the new flags, on which a recording can depend.
+            # Drop all recordings, because the recordings' keys lack the values of the new flags, which can matter.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -304,7 +304,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # Do not store a recording that found a new flag, because its key lacks the value of this flag.
+                # Do not store a recording that found a new flag, because the recording's key lacks the flag's value.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -335,7 +335,7 @@ class CapturedPart:
         """Return whether to record a key: it must occur often, and more often than the rarest recording."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # A new key must be twice as frequent as the rarest recorded key, or rare keys would replace each other forever.
+        # An unrecorded key must be twice as frequent as the rarest recorded key, or rare keys would replace each other.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:

@@ -69,7 +69,7 @@ class modify_env_param(TermBase):
             message = f"'{getattr(self._modify, '__name__', type(self._modify).__name__)}': {error}"
             raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
-        # A term saves its own settings, so this curriculum saves only values outside of terms.
+        # A term saves its own settings, so the curriculum saves only values outside of terms.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -318,7 +318,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # no control step had a command on this axis
+            if steps - still <= 0.0:  # no control step had a command on the axis
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]

@@ -126,7 +126,7 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-# The work limit of NumPy's exact overlap check. Beyond this limit, overlapping address ranges count as shared.
+# The work limit of NumPy's exact overlap check, beyond which overlapping address ranges count as shared.
 _MOST_WORK = 10_000
 
 

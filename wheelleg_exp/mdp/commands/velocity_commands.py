@@ -165,7 +165,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
 
-_ROLLS = 0.5  # a wheel rolls along x if |wheel axis · base y axis| is at least this value
+_ROLLS = 0.5  # smallest |wheel axis · base y axis| of a wheel that rolls along the x axis
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):

@@ -47,7 +47,7 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        # The result has boxes ``(i0, i1, j0, j1, top)``; use the one of two decompositions that has fewer boxes.
+        # Boxes are ``(i0, i1, j0, j1, top)``; use the one of two decompositions that has fewer boxes.
         levels = np.unique(heights)
         apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
         nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
