@@ -1,8 +1,7 @@
 """Find the values that the parts of an environment's step read and write.
 
-The module ``graph_capture`` uses this module to find the values that a recorded CUDA graph depends on or changes. A
-*slot* is a place that holds a value: an attribute, or an entry of a dictionary or list in an attribute (see
-``state.object_graph``).
+The module ``graph_capture`` needs the values that a recorded CUDA graph depends on or changes. A *slot* is a place that
+holds a value: an attribute, or an entry of a dictionary or list in an attribute (see ``state.object_graph``).
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ _MOST_KNOWN = 64  # numbered combinations of settings
 
 
 class Values:
-    """All values of an environment's objects that the captured parts of its step can read or write.
+    """All values of an environment's objects that the captured parts of the environment's step can read or write.
 
-    Numbers and texts that a part of the step changes are *flags*; all other numbers and texts are *settings*. Before
-    each part of the step runs, the flags are compared with their recorded values. Because comparing all settings takes
-    longer, settings are compared only after code has run that may have changed a setting.
+    Numbers and texts that a part of the environment's step changes are *flags*; all other numbers and texts are
+    *settings*. Before each part of the environment's step runs, the flags are compared with the flags' recorded values.
+    Because there are many settings, they are compared only after code has run that may have changed a setting.
 
     Attributes:
         is_checked: whether no code has run since the last comparison that may have changed a setting.
@@ -72,7 +71,7 @@ class Values:
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Treat the given slots as flags from now on; return whether at least one of them is a new flag."""
+        """Treat the given slots as flags from now on; return whether at least one of the slots is a new flag."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -92,9 +91,9 @@ class Values:
     def _check(self) -> None:
         """Compare all settings with their last values, and give each new combination of values a number.
 
-        Most comparisons of settings find no change, so the comparison must be fast. The settings are read through the
-        containers in ``_places`` and compared by identity. The graph of objects is walked again only if a container was
-        replaced or changed its size.
+        Most comparisons of settings find no change, so comparing settings must be fast. The settings are read through
+        the containers in ``_places`` and compared by identity. The graph of objects is walked again only if a container
+        was replaced or changed its size.
         """
         before = self._present
         if not self._places or any([len(one) != size for one, size in self._sizes]):
@@ -104,7 +103,7 @@ class Values:
         except LookupError:
             self._find_settings()
             now = self._present
-        # Identity is enough here: a setting that was replaced by an equal object only costs one slow comparison.
+        # Comparing settings by identity is enough: a setting replaced by an equal object costs one slow comparison.
         if self._present is before and all(map(operator.is_, now, before)):
             return
         changed = zip(before, now, strict=True) if self._present is before else ()
@@ -139,7 +138,7 @@ class Values:
     def move_rebound(self, found: Sequence[Slot]) -> None:
         """For each tensor that a part of the step rebinds, provide static memory that all recordings share."""
         moved = []
-        # Tensors made in inference mode cannot be written in place later, outside of inference mode.
+        # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
             for slot in (slot for slot in found if slot.id in self.rebound):
                 value, static = slot.get(), self._statics.get(slot.id)
@@ -205,10 +204,10 @@ def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
 
 
 def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
-    """Copy the second tensor of each pair into the first tensor.
+    """Copy the second tensor of each pair into the pair's first tensor.
 
-    The source tensor of one copy can share memory with the target tensor of another copy. Source tensors that share
-    memory with a target are cloned first, so that no copy reads overwritten memory.
+    The source tensor of one copy can share memory with the target tensor of a later copy. Source tensors that share
+    memory with a target tensor are cloned first, so that no copy reads overwritten memory.
     """
     targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
     copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
@@ -221,7 +220,7 @@ def _is_container(value: Any) -> bool:
 
 
 def _runs_outside(node: Any) -> bool:
-    """Return whether an object is an event term that no captured part calls; captured parts call only reset events."""
+    """Return whether an object is an event term that no captured part of the step calls, unlike a reset event."""
     return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
@@ -249,7 +248,7 @@ def fits(value: Any, static: torch.Tensor) -> bool:
 
 
 class _Identity:
-    """A dictionary key for one object. The key refers to the object, so that Python does not reuse the id."""
+    """A dictionary key that refers to an object, so that Python does not reuse the object's id."""
 
     def __init__(self, value: Any) -> None:
         self.value = value

@@ -26,7 +26,7 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-# A lower bound of the memory per environment: state, outputs, and observations of one small robot, in bytes.
+# A lower bound of the memory of one environment (state, outputs, and observations of a small robot), bytes.
 _BYTES_PER_ENV = 10_000
 
 Observations = dict[str, Group]
@@ -37,7 +37,7 @@ StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[
 class ManagerBasedRLEnv(IsaacLabAttributes):
     """N parallel environments with nine managers, in the style of Isaac Lab's ``ManagerBasedRLEnv``.
 
-    ``cfg`` is the composed config section ``env``, ``mjcf`` is the robot's MJCF file, and ``seed`` sets all random
+    ``cfg`` is the composed config section ``env``, ``mjcf`` is the robot's MJCF file, and ``seed`` seeds all random
     streams. ``step`` and ``reset`` call private methods in the order in which this file defines the methods. The
     decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with ``env.sim.graph_step``; see
     ``graph_capture``.
@@ -126,11 +126,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         """Advance every environment by one control step with raw actions (N, A), in the order of Isaac Lab.
 
         Terminations and rewards are computed from the state after the physics steps. Environments whose episode ended
-        are reset after the rewards. Their returned observation is therefore the first observation of the next episode.
-        Commands and interval events come after the resets: the returned observation shows the effect of a push.
+        are reset after the rewards. The observation returned for a reset environment is the first one of the new
+        episode. Commands and interval events come after the resets: the returned observation shows the effect of a
+        push.
 
-        The method returns observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. If
-        the physics or the reward of an environment is NaN or inf, its episode ends as terminated with reward 0, and
+        ``step`` returns observations by group, reward (N,), terminated (N,), truncated (N,), and extras. If an
+        environment's physics or reward is NaN or inf, its episode terminates with reward 0, and
         ``extras["non_finite"]`` names the term. Raise SimulationFailure if an observation or a number that an event
         wrote is NaN or inf.
         """
@@ -157,7 +158,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":
-            # With autoreset next_step or disabled, failed environments still show their last state, which can be NaN.
+            # With autoreset next_step or disabled, failed environments show their last state, which can be NaN.
             require_finite_observations(self, is_noted=True)
         ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
@@ -168,9 +169,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     ) -> tuple[Observations, dict[str, Any]]:
         """Reset the environments ``env_ids`` (by default all), and return the observations of all environments.
 
-        The observations of all other environments do not change. A ``seed`` restarts all random streams. Commands are
-        drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command even of an
-        environment that is commanded to stand still.
+        The observations of environments that are not reset do not change. A ``seed`` restarts all random streams.
+        Commands are drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command
+        even of an environment that is commanded to stand still.
         """
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         self.recorder_manager.record_pre_reset(ids)
@@ -189,14 +190,14 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return observations, self.extras
 
     def _skipped(self) -> torch.Tensor | None:
-        """Return a mask (N,) of the environments that only reset in this step (``autoreset="next_step"``), or None."""
+        """Return a mask (N,) of the environments that only reset in a step (``autoreset="next_step"``), or None."""
         if self.autoreset != "next_step":
             return None
         return self.termination_manager.dones & (self.episode_length_buf > 0)
 
     @captured_part()
     def _act(self, action: torch.Tensor) -> None:
-        """Process the action, and write the controls for the first physics step."""
+        """Process the action, and write the controls for the control step's first physics step."""
         self.action_manager.process_action(action)
         self.recorder_manager.record_pre_step()
         self.scene.robot.begin_control_step()
@@ -205,7 +206,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _update_and_act(self) -> None:
-        """Read the result of a physics step, and apply the same action again for the next physics step."""
+        """Read the result of a physics step, and apply the control step's action for the next physics step."""
         self.scene.update()
         self.observation_manager.sample_between()
         self.action_manager.apply_action()
@@ -259,7 +260,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def _reset_ended(self, ended: torch.Tensor) -> None:
         """Reset the environments ``ended`` (n,).
 
-        Also reset environments whose NaN reward the host detected too late for the normal reset.
+        Reset environments whose NaN reward the host detected too late for the normal reset of the control step.
         """
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
@@ -269,7 +270,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        # The first query did not wait for the rewards, so only this second query finds environments with NaN rewards.
+        # The first query did not wait for the rewards, so only the second query finds environments with NaN rewards.
         failed, not_reset = self._ended.late()
         self._end_failed(failed)
         if len(not_reset):
@@ -331,12 +332,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @host_part
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
-        """Run the events of a user-defined mode, then update all quantities that are derived from the state."""
+        """Run the events of a user-defined mode, and update all quantities that are derived from the robot's state."""
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that later steps depend on; raise ConfigError if a term holds state that cannot be saved."""
+        """Return all state that later steps depend on; raise ConfigError if a term holds state that cannot be saved."""
         attributes = self._attributes.save()
         managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {

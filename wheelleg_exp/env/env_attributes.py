@@ -13,7 +13,7 @@ from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
-# Attributes that the environment itself or its caller changes, and that therefore are not state of terms.
+# Attributes that the environment or the environment's caller changes, and that are not state of terms.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 
 
@@ -44,7 +44,7 @@ class EnvAttributes:
     def save(self) -> dict[str, Any]:
         """Return the attributes of the environment that terms have added or changed.
 
-        Raise ConfigError if a term holds state outside itself and the environment.
+        Raise ConfigError if a term holds state outside of the term's own attributes and the environment.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()

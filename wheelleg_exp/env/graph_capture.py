@@ -1,24 +1,24 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
-The decorator ``captured_part`` marks a method of the environment as a part of the step. Without graph capture, each
-call of the part runs the method. With graph capture, ``GraphCapture`` runs the part a few times, records a CUDA graph,
-and from then on replays the recording.
+The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. Without the
+capture of CUDA graphs, each call of a captured part runs the method. ``GraphCapture`` runs a part of the step a few
+times, records a CUDA graph, and from then on replays the graph.
 
-A CUDA graph repeats kernels on fixed memory and does not run Python. So the capture has to find out which attributes
-the Python code of a part reads and writes. The contract for the objects that a part uses (terms, managers, robot,
-sensors) is:
+A CUDA graph repeats kernels on fixed memory and does not run Python. The capture has to find out which attributes the
+Python code of a part of the step reads and writes. The contract for the objects that a part uses (terms, managers,
+robot, sensors) is:
 
-- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part may write to a buffer, or assign
-  a new tensor of the same shape.
-- **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, the next part runs
-  with the new value. Each combination of settings that occurs often has its own recording.
+- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part of the step may write to a
+tensor, or assign a new tensor of equal shape to an attribute.
+- **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, the next part of the
+step runs with the setting's new value. Each combination of settings that occurs often has its own recording.
 - A part may also change a setting (for example a flag), but its new value must follow from the old values.
 - All other values that a part changes are undeclared: a number that counts up, a growing list, a deque, a tuple of
-  tensors, a module, or a foreign object. A part that has undeclared state or waits for the GPU runs without a graph. A
-  warning names the reason.
+  tensors, a module, or a foreign object. A part of the step that has undeclared state or waits for the GPU runs without
+  a CUDA graph. A warning names the reason.
 
-A part runs twice before it is recorded. In the second run, the capture compares all attributes before and after the
-run.
+A part of the step runs twice before the part is recorded. In the second run of a part, the capture compares all
+attributes before and after the run.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from wheelleg_exp.state.object_graph import Slot, is_plain
 _RUNS_BEFORE_CAPTURE = 2
 # The largest number of recordings of one part. A reset needs a recording for each number of environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# The capture counts how often a combination of values occurred in this number of past runs of a part.
+# The number of past runs of a part in which the capture counts how often a combination of values occurred.
 _WINDOW = 1024
-# A warning appears once there are this many more runs without a graph than runs with a graph.
+# A warning appears once the runs without a CUDA graph outnumber the runs with a CUDA graph by this number.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -54,9 +54,9 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
     """Mark a method of the environment as a part of the step that may be captured as a CUDA graph.
 
-    With ``to_caller``, the method's result is returned to the caller of the environment. The result is then copied out
-    of the memory of the graph. The settings are checked before the next part runs, because the caller may change a
-    setting.
+    With ``to_caller``, the method's result is returned to the caller of the environment. A returned result is copied
+    out of the memory of the CUDA graph. Settings are compared before the next part runs, because the caller may change
+    a setting.
     """
 
     def decorate(method: Method) -> Method:
@@ -74,7 +74,7 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
 def host_part(method: Method) -> Method:
     """Mark a method that is never captured and may change settings, for example because the method calls user code.
 
-    If such a method returns False, it has changed no setting.
+    A method marked by ``host_part`` that returns False has changed no setting.
     """
 
     @functools.wraps(method)
@@ -97,7 +97,7 @@ class Graph(Protocol):
         """Record the work."""
 
     def replay(self) -> None:
-        """Repeat the recorded work on the memory that the recording used."""
+        """Repeat the work that a CUDA graph recorded, on the memory that the recording used."""
 
 
 class CudaGraph:
@@ -115,7 +115,7 @@ class CudaGraph:
         return graph
 
     def record(self, work: Callable[[], None]) -> None:
-        """Record the work as a CUDA graph. The kernels of the work do not run before the first replay."""
+        """Record the work as a CUDA graph. The kernels of the recorded work do not run before the first replay."""
         torch.cuda.synchronize()
         stream, failed = torch.cuda.current_stream(), []
         try:
@@ -128,10 +128,10 @@ class CudaGraph:
         except Exception as error:
             # A capture that fails at its end leaves its own stream as torch's current stream.
             torch.cuda.set_stream(stream)
-            # Random generators of a failed capture stay blocked until another capture ends, so capture one kernel here.
+            # Random generators of a failed capture stay blocked until a later capture ends, so capture one kernel here.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # Prefer the error of the work, because it names the term.
+            cause = (failed or [error])[0]  # Prefer the error of the recorded work, because it names the term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -144,7 +144,7 @@ class GraphCapture:
     def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
         # Use masks, which have a fixed shape, because the number of row indices differs from step to step.
         env.observation_manager.in_masks = True
-        # Curricula and recorders log Python numbers, so these managers are reset in Python after the replay.
+        # Curricula and recorders log Python numbers, so their managers are reset in Python after the replay.
         self._reset_later = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
         self._env, self._make_graph = env, make_graph
@@ -157,7 +157,7 @@ class GraphCapture:
         return sum(len(part.recordings) for part in self.parts.values())
 
     def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
-        """Run a part of the step, or replay a recording of the part."""
+        """Run a part of the environment's step, or replay a recording of the part."""
         env = self._env
         name = method.__name__
         if name not in self.parts:
@@ -211,7 +211,7 @@ class Recording:
         self._containers = list(found.values())
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy the present values into the memory of the graph; return the slots whose values do not fit."""
+        """Copy the present values into the memory of the CUDA graph; return the slots whose values do not fit."""
         try:
             if not all([parent[key] is container for parent, key, container in self._containers]):
                 self._find_places()
@@ -250,10 +250,10 @@ class Recording:
 class CapturedPart:
     """One part of the step.
 
-    ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of reset environments
-    differs from call to call. ``values`` has the settings and flags of the environment, which all parts of the step
-    share. The function ``reset_caches`` is called before every run and drops cached quantities. ``streams`` returns all
-    random streams.
+    ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of environments that a
+    reset resets differs from call to call. ``values`` has the settings and flags of the environment, which all parts of
+    the step share. The function ``reset_caches`` is called before every run and drops cached quantities. ``streams``
+    returns all random streams.
     """
 
     def __init__(
@@ -279,13 +279,13 @@ class CapturedPart:
         self._last: Key = (-1, ())
 
     def __call__(self, *args: Any) -> Any:
-        """Run the part of the step, or replay a recording of it."""
+        """Run a part of the environment's step, or replay a recording of the part."""
         self._reset_caches()
         if self.fails:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # Drop all recordings, because their keys lack the values of the new flags, on which a recording can depend.
+            # Drop all recordings, because the recordings' keys lack the values of the new flags, which can matter.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -304,7 +304,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # Do not store a recording that found a new flag, because its key lacks the value of this flag.
+                # Do not store a recording that found a new flag, because the recording's key lacks the flag's value.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -317,11 +317,11 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[Any, ...]) -> Any:
-        self._values.is_checked = False  # Python code that ran may have changed settings.
+        self._values.is_checked = False  # Python code that ran instead of a replay may have changed settings.
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
-        """Count a run, and return how many of the last ``_WINDOW`` runs had the same key."""
+        """Count a run with a key, and return how many of the last ``_WINDOW`` runs had this key."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -335,7 +335,7 @@ class CapturedPart:
         """Return whether to record a key: it must occur often, and more often than the rarest recording."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # A new key must be twice as frequent as the rarest recorded key, or rare keys would replace each other forever.
+        # An unrecorded key must be twice as frequent as the rarest recorded key, or rare keys would replace each other.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
@@ -344,8 +344,8 @@ class CapturedPart:
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
         """Drop a recording whose memory does not fit the present tensors.
 
-        The shapes and types of these tensors then become a part of the key, so that the next recording is replayed only
-        for equal shapes and types.
+        The shapes and types of the tensors become a part of the key, so that the next recording is replayed only for
+        equal shapes and types.
         """
         del self.recordings[key]
         self._values.add_flags(unfit)
@@ -371,7 +371,7 @@ class CapturedPart:
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
-        """Run the part of the step without a CUDA graph, and check that the part follows this module's contract."""
+        """Run a part of the step without a CUDA graph, and check that the part follows this module's contract."""
         values = self._values
         before = [(slot, slot.get()) for slot in values.slots()]
         undeclared = dict(values.undeclared())
@@ -396,7 +396,7 @@ class CapturedPart:
         return found
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
-        """Record the work; return None if recording is not possible, for example because the work waits for the GPU."""
+        """Record work as a CUDA graph; return None if recording fails, for example if the work waits for the GPU."""
         # Each registered random stream costs two launches per replay, so first register only the used streams.
         for streams in (self._drawn, self._streams()):
             try:

@@ -124,7 +124,7 @@ class IsaacLabAttributes(Kept):
 
     @property
     def sim(self) -> Simulation:
-        """The simulation object that terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
+        """The simulation object that manager terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
         return Simulation(self)  # type: ignore[arg-type]
 
     @property
@@ -134,17 +134,17 @@ class IsaacLabAttributes(Kept):
 
     @property
     def reset_buf(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode ended in this step."""
+        """Mask (N,) of the environments whose episode ended in the last control step."""
         return self.termination_manager.dones
 
     @property
     def reset_terminated(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode failed in this step."""
+        """Mask (N,) of the environments whose episode failed in the last control step."""
         return self.termination_manager.terminated
 
     @property
     def reset_time_outs(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode reached its time limit in this step."""
+        """Mask (N,) of the environments whose episode reached its time limit in the last control step."""
         return self.termination_manager.time_outs
 
     @property

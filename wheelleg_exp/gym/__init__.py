@@ -33,7 +33,7 @@ def register() -> None:
 
 
 def register_with_gymnasium() -> None:
-    """Register the environments if Gymnasium is already imported, or as soon as Gymnasium is imported.
+    """Register the tasks' environments if Gymnasium is already imported, or as soon as Gymnasium is imported.
 
     Importing Gymnasium takes a quarter of a second, so this package does not import Gymnasium itself.
     """
@@ -44,7 +44,7 @@ def register_with_gymnasium() -> None:
 
 
 class _GymnasiumFinder(MetaPathFinder):
-    """Find Gymnasium with Python's standard finders, and register the environments after the import."""
+    """Find Gymnasium with Python's standard finders, and register the tasks' environments after the import."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         del path, target
@@ -58,7 +58,7 @@ class _GymnasiumFinder(MetaPathFinder):
 
 
 class _RegisteringLoader(Loader):
-    """Load Gymnasium with its standard loader, and then register the environments."""
+    """Load Gymnasium with Gymnasium's standard loader, and then register the tasks' environments."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader

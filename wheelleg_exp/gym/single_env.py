@@ -50,7 +50,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         self._pictures = task_env.Pictures(self.env, render_mode, width, height)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
-        """Start an episode; a seed restarts all random streams.
+        """Start an episode; the argument ``seed`` restarts all random streams.
 
         In the returned info, ``log`` is the managers' log of the previous episode, if one exists.
         """

@@ -90,7 +90,7 @@ _SIZE_PX = (16, 4096)
 class Pictures:
     """Renders images of environments one by one; their states do not change.
 
-    Images have width x height pixels; the mode None means that no images are rendered.
+    Images have ``width`` x ``height`` pixels; the render mode None means that no images are rendered.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
@@ -106,7 +106,7 @@ class Pictures:
         self._pictures = LivePictures(env.scene.model, env.scene.robot.body_names[0], width, height)
 
     def draw(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return an image (height, width, 3) of every environment, or None if the mode is None."""
+        """Return an image (height, width, 3) of every environment, or None if the render mode is None."""
         if self._mode is None:
             return None
         return tuple(self._pictures.draw(row) for row in host_copy(self._env.scene.sim.view("qpos")).astype(float))

@@ -28,15 +28,15 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     observation and info, and the returned observation is the first of the next episode. ``next_step``: a done
     environment is reset in the next step, whose action is ignored and whose reward is 0. ``disabled``: the caller
     resets with ``reset(options={"reset_mask": ...})``. In the infos, ``log`` is the managers' log, averaged over the
-    episodes that ended in this step. If a reward or the physics became NaN or inf, the episode fails with a reward of
-    0, and ``non_finite`` names the term.
+    episodes that ended in the control step. If a reward or the physics became NaN or inf, the episode fails with a
+    reward of 0, and the infos' ``non_finite`` names the term.
 
     Args:
         num_envs: number of environments, N.
-        autoreset_mode: The mode is ``same_step``, ``next_step``, ``disabled``, or a value of Gymnasium's
+        autoreset_mode: The autoreset mode is ``same_step``, ``next_step``, ``disabled``, or a value of Gymnasium's
             ``AutoresetMode``.
 
-    All other arguments are those of ``WheellegEnv``.
+    The vector environment's other arguments are those of ``WheellegEnv``.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -77,7 +77,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     ) -> tuple[Arrays, dict[str, Any]]:
         """Reset all environments, or only the environments in the mask ``options["reset_mask"]`` (N,).
 
-        One seed restarts all random streams.
+        A seed restarts the random streams of all environments.
         """
         if isinstance(seed, list):
             raise ValueError("the environments share their random streams: give one seed, not a list")

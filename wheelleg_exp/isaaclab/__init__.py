@@ -1,10 +1,10 @@
 """Provide Isaac Lab's module paths, so that a term written for Isaac Lab needs only changed import lines.
 
-For example, ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers import
-SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
+For example, the line ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers
+import SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
-Only the modules ``managers`` and ``utils`` contain code. All other modules only give Isaac Lab's names to existing
-classes. The other modules are created from a table when the package is imported.
+Only this package's modules ``managers`` and ``utils`` contain code. All modules except ``managers`` and ``utils`` only
+give Isaac Lab's names to existing classes. Modules without code are created from a table when the package is imported.
 """
 
 from __future__ import annotations

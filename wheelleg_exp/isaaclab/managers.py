@@ -32,7 +32,7 @@ RewardTermCfg = ObservationTermCfg = TerminationTermCfg = EventTermCfg = Curricu
 class ActionTermCfg:
     """The config of an action: the parameters of the YAML node as attributes.
 
-    The fields ``class_type`` and ``debug_vis`` are unused, because ``_target_`` in the config names the class.
+    The fields ``class_type`` and ``debug_vis`` have no effect, because ``_target_`` names the class.
 
     Attributes:
         asset_name: the robot's name in the scene.
@@ -49,7 +49,7 @@ class ActionTermCfg:
 class CommandTermCfg:
     """The config of a command: the parameters of the YAML node as attributes.
 
-    The fields ``class_type`` and ``debug_vis`` are unused, because ``_target_`` in the config names the class.
+    The fields ``class_type`` and ``debug_vis`` have no effect, because ``_target_`` names the class.
 
     Attributes:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -93,10 +93,10 @@ class CommandTerm(OfEnv, managers.CommandTerm):
         raise NotImplementedError
 
     def _update_command(self) -> None:
-        """Compute the command from the drawn values; called in every control step."""
+        """Compute the command from the drawn values; the command manager calls this method in every control step."""
 
     def _update_metrics(self) -> None:
-        """Update the command's metrics; called in every control step."""
+        """Update the command's metrics; the command manager calls this method in every control step."""
 
     def draw(self, env_ids: torch.Tensor) -> None:
         self._resample_command(env_ids)

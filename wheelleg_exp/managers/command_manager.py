@@ -93,7 +93,7 @@ class CommandTerm(TermBase):
         return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the means of the command's metrics over ``env_ids``; then clear the metrics and draw new commands."""
+        """Return the means of the command's metrics over ``env_ids``, clear the metrics, and draw new commands."""
         steps = self.steps.index_select(0, env_ids).clamp(min=1)
         means = self.metrics.index_select(1, env_ids).mean(dim=1)
         per_step = (self.error_sums.index_select(1, env_ids) / steps).mean(dim=1)

@@ -101,7 +101,7 @@ class EventManager(ManagerBase):
             self.fired[name] = time_left < 1e-6
 
     def apply_due(self, dt: float) -> bool:
-        """Run interval events whose timers expired, then the events of mode ``step``; return whether any event ran.
+        """Run interval events with expired timers, and the events of mode ``step``; return whether any event ran.
 
         ``dt`` is the time, s, that the last call of ``advance_timers`` subtracted.
         """

@@ -137,7 +137,7 @@ class Term(Kept):
         return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
     def blamed(self) -> AbstractContextManager[None]:
-        """Return a context manager whose errors name this term."""
+        """Return a context manager that adds the term's config key to errors."""
         return self._lending() if self.lends else _Blamed(self)
 
     @contextmanager

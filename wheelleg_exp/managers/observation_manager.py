@@ -97,7 +97,7 @@ class ObservationManager(Kept):
         return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
     def distinct(self) -> list[Group]:
-        """Return the last observations by group, without groups that are the beginning of another group's row."""
+        """Return the last observations by group, without groups whose row is the beginning of a second group's row."""
         return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:

@@ -117,7 +117,7 @@ class ObservationTerm(Kept):
         return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
 
     def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether another observation term always has equal samples and an equal history length."""
+        """Return whether a second observation term always has samples and a history length equal to this term's."""
         shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
         return shared and self.history_length == other.history_length
 
@@ -234,7 +234,7 @@ Group = torch.Tensor | dict[str, torch.Tensor]
 
 
 class GroupLayout:
-    """Joins the observations of a group's terms, and splits them again.
+    """Joins the observations of a group's terms, and splits the joined observation.
 
     Attributes:
         concatenated: whether the group is one tensor.

@@ -25,7 +25,7 @@ class Form(Protocol):
         """Return whether a fast check shows that the return value ``value`` is valid. If not, ``check`` decides."""
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError without a key if ``value`` is invalid; ``source`` names the function that returned it."""
+        """Raise ConfigError without a key if ``value``, which the function named ``source`` returned, is invalid."""
 
 
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:

@@ -84,7 +84,7 @@ class RewardManager(ManagerBase):
 
     @property
     def _episode_sums(self) -> dict[str, torch.Tensor]:
-        """Reward sums over the current episodes, (N,) by term; Isaac Lab's curricula use this attribute name."""
+        """Reward sums over the current episodes, (N,) by term; curricula of Isaac Lab read this attribute."""
         return dict(zip(self._terms, self._sums.unbind(), strict=True))
 
     def episode_sums(self, name: str) -> torch.Tensor:

@@ -46,7 +46,7 @@ class TerminationManager(ManagerBase):
 
     @property
     def dones(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode ended in this step."""
+        """Mask (N,) of the environments whose episode ended in the last control step."""
         return self.terminated | self.time_outs
 
     def get_term(self, name: str) -> torch.Tensor:

@@ -69,7 +69,7 @@ class modify_env_param(TermBase):
             message = f"'{getattr(self._modify, '__name__', type(self._modify).__name__)}': {error}"
             raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
-        # A term saves its own settings, so this curriculum saves only values outside of terms.
+        # A term saves its own settings, so the curriculum saves only values outside of terms.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -165,7 +165,7 @@ class command_range_levels(TermBase):
 
     A ratio measures tracking: the sum of a tracking reward over an episode, divided by the sum that perfect tracking
     gives in a full-length episode. The mean tracking ratio is evaluated at most once per full episode length. If the
-    mean ratio exceeds ``threshold``, every command range grows by ``step`` on both sides, up to ``limit_ranges``. Isaac
+    mean tracking ratio exceeds ``threshold``, each range grows by ``step`` on both sides, up to ``limit_ranges``. Isaac
     Lab's library does not have this curriculum; some projects have it as ``lin_vel_cmd_levels`` or
     ``ang_vel_cmd_levels``.
 
@@ -318,7 +318,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # no control step had a command on this axis
+            if steps - still <= 0.0:  # no control step had a command on the axis
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]

@@ -1,4 +1,4 @@
-"""Reward terms, which return one value per environment, (N,); the manager multiplies it by weight and time step.
+"""Reward terms, which return one value per environment, (N,), without the factors weight and time step.
 
 The reward formulas are those of Isaac Lab, unless the docstring of a reward names a difference.
 """
@@ -381,7 +381,7 @@ def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
         raise ConfigError(message, key=key, expected="the same number, in the order of sensor_cfg.body_names")
 
 
-_WALKING = 0.1  # m/s; a commanded speed below this value means that the robot stands
+_WALKING = 0.1  # the commanded speed below which the robot counts as standing, m/s
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
@@ -389,7 +389,7 @@ def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
-    """Sum of (air time - ``threshold``), s, over all feet that touched down in this control step.
+    """Sum of (air time - ``threshold``), s, over all feet that touched down in the control step.
 
     0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor must track air and contact times.
     """
@@ -468,7 +468,7 @@ def wheel_slip(
     """Sum of the slip speeds at the wheels' contact points, m/s; 0 for wheels that roll without slip.
 
     The contact point moves at v + w x (-r n): n is the normal of the wheel's contact force, v the velocity of the
-    wheel's centre of mass, w its angular velocity. The slip is this point's velocity along the ground.
+    wheel's centre of mass, w its angular velocity. Slip is the velocity of a contact point along the ground.
 
     Args:
         radius: r of the wheels, m.

@@ -54,7 +54,7 @@ def terrain_out_of_bounds(
 ) -> torch.Tensor:
     """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of the ground.
 
-    On ground without tiles, this termination never fires.
+    On ground without tiles, the termination ``terrain_out_of_bounds`` never fires.
     """
     terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:

@@ -109,7 +109,7 @@ class BatchEngine(Engine):
 
     def unstable(self) -> torch.Tensor:
         # MuJoCo detects NaN and huge values only at the start of a physics step, and resets the simulation.
-        # MuJoCo's warning counters show these resets, but values after the last physics step must be checked here.
+        # MuJoCo counts its resets, but does not detect invalid values after the last physics step, so check them here.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:

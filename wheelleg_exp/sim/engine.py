@@ -31,7 +31,7 @@ class Engine(Kept, ABC):
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: the tensors other than states that terms obtained to write to: model fields by name, ``WRENCHES``. Code
-            that reads the set ``asked`` then empties the set.
+            that reads the set ``asked`` empties the set after reading.
     """
 
     name: ClassVar[str]

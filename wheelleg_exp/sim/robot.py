@@ -84,7 +84,7 @@ class Robot(RobotWriters):
         # The force and torque on the root link, with the vector components as the first dimensions, (2, 3, N).
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
         # The environments whose state was written since the last call of ``refresh``, as a list of index tensors.
-        # A reset writes often with one index tensor, so a list that stores this tensor once is cheaper than a mask.
+        # A reset writes often with one index tensor, so a list of index tensors is cheaper than a mask.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)

@@ -76,7 +76,7 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Request the view of the actuators' torques here, because new views contain zeros until the next physics step.
+        # Request the view of the torques here, because a view is zero until the physics step after its request.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:

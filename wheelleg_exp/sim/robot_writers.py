@@ -366,7 +366,7 @@ class RobotWriters(Kept):
         Return the values that were written to each actuator group that MuJoCo's solver computes. Each returned entry
         has the slice of an actuator group's controls, the values (n, k), and the mask (k,) of written joints.
         """
-        self._has_new_targets = True  # MuJoCo's controls also depend on the actuator gains.
+        self._has_new_targets = True  # The controls of MuJoCo actuators depend on the actuators' gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)

@@ -58,7 +58,7 @@ class GeomBoxes:
 
 _GEOM_FIELDS = ("geom_type", "geom_size", "geom_pos", "geom_quat")
 _ROWS = 32  # simulations per thread
-_MANY = 8  # From this number of geoms on, rays are tested only against geoms that they can hit.
+_MANY = 8  # With at least this number of geoms, a ray is tested only against the geoms that the ray can hit.
 _TOGETHER = 48  # rays in a block
 _SHOWN, _HIDDEN = 0, 1  # geom groups
 

@@ -2,9 +2,9 @@
 
 The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The walk must reach
 every object that a term can change, but no object of another package, because such objects can be huge or have side
-effects. So the walk visits objects whose class belongs to this package or derives from this package's classes. The walk
-also visits the containers, bound methods, partials, and closures that hold such objects. The class attribute
-``outside_graphs`` lists the attributes that no captured part of a step reads or writes.
+effects. The walk over objects visits objects whose class belongs to this package or derives from this package's
+classes. The walk over objects visits the containers, bound methods, partials, and closures that hold objects of this
+package. The class attribute ``outside_graphs`` lists the attributes that no captured part of a step reads or writes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Named = tuple[str, Any]
 def walk(roots: Iterable[Named], children: Callable[[str, Any], Iterable[Named]]) -> Iterator[Named]:
     """Yield each object once with its dotted name: the roots, the ``children`` of each object, and so on."""
     waiting, seen = list(roots), set[int]()
-    # The loop is a breadth-first search, during which the list grows. Ids detect shared objects and cycles.
+    # The loop is a breadth-first search, during which the list grows; the ids detect shared objects and cycles.
     for name, node in waiting:
         if id(node) not in seen:
             seen.add(id(node))
@@ -50,7 +50,7 @@ def is_plain(value: Any) -> bool:
 class Slot:
     """A place that holds a value: an attribute of an object, or an entry of a dictionary or list in an attribute.
 
-    ``path`` is the attribute's name, followed by the keys of nested dictionaries and lists.
+    ``path`` is the name of an attribute, followed by the keys of nested dictionaries and lists.
     """
 
     def __init__(self, owner: Any, path: tuple[Any, ...]) -> None:
@@ -89,7 +89,7 @@ class Slot:
         return functools.partial(vars(self.owner).get, self.path[0], MISSING)
 
     def set(self, value: Any) -> None:
-        """Store a value in the slot. The value ``MISSING`` removes the entry from its dictionary."""
+        """Store a value in the slot; the value ``MISSING`` removes the slot's entry from its dictionary."""
         container, key = self.container, self.path[-1]
         if value is MISSING and isinstance(container, dict):
             container.pop(key, None)
@@ -126,7 +126,7 @@ def parts(name: str, node: Any) -> Iterator[Named]:
 def attributes_in_graphs(node: Any) -> Iterator[Named]:
     """Yield those attributes of an object of this package that a captured part of a step may read or write."""
     kind = type(node)
-    # Skip objects of the package ``state``, which only refer to the state of other objects.
+    # Skip objects of the package ``state``, which only refer to the state of objects in other packages.
     if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):
         return
     skipped = {name for base in kind.__mro__ for name in vars(base).get("outside_graphs", ())}

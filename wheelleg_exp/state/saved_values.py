@@ -1,11 +1,11 @@
-"""Convert the attributes of an object to values that a checkpoint can store, compare them, and restore them.
+"""Convert the attributes of an object to values that a checkpoint can store; compare and restore such values.
 
 State is: tensors, arrays, numbers, text, random generators, plain containers of these, and objects with their own
 ``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as long as
 they do not change; and objects that another part saves (``Kept``). Every other value is ``Unsaveable``.
 
 ``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries, because loading a
-checkpoint must not run code. A value that a checkpoint does not store appears in this tree as a ``Reference``.
+checkpoint must not run code. A value that a checkpoint does not store becomes a ``Reference``.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ GENERATORS: dict[str, Generator] = {
 class Kept:
     """Marks objects whose state other code saves.
 
-    An object that refers to a ``Kept`` object does not save the ``Kept`` object's state again.
+    An object that refers to a ``Kept`` object does not save the state of the ``Kept`` object.
     """
 
 
@@ -209,8 +209,8 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
     """Convert a result of ``snapshot`` to a value that a checkpoint can store.
 
     ``before`` is the value that the attribute had when its owner was made. Loading a checkpoint writes into a new
-    object that was made from the same config. So Unsaveable is raised for a reference that was bound or changed after
-    its owner was made, and for a value that only its owner can make.
+    object that was made from the same config. Unsaveable is raised for a reference that was bound or changed after its
+    owner was made, and for a value that only its owner can make.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")

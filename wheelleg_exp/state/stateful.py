@@ -1,8 +1,8 @@
 """Save objects whose attributes are their state, and settings of terms that changed after construction.
 
 A tensor attribute is always saved, unless the class names the attribute in ``settings``. All other attributes,
-including tensors in ``settings``, are saved only if they differ from their initial values. So restoring a checkpoint
-does not undo a later change of the config.
+including tensors in ``settings``, are saved only if they differ from their initial values. Restoring a checkpoint does
+not undo a change that was made in the config after the checkpoint was saved.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # This string stands for a tensor that is always saved.
+_TENSOR = "a tensor"  # This string stands for a tensor attribute that is always saved.
 
 
 class _Base(NamedTuple):
@@ -25,7 +25,7 @@ class _Base(NamedTuple):
 
 
 class Stateful:
-    """Base class of objects that save and restore their own attributes (see the module docstring).
+    """Base class of objects that save and restore their own attributes as their state.
 
     ``settings`` names tensor attributes that come from the config; such an attribute is saved only if it has changed.
     """
@@ -33,7 +33,7 @@ class Stateful:
     settings: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all values of the object that later steps depend on."""
+        """Return all values of the object that later control steps depend on."""
         return save(self)
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -72,7 +72,7 @@ def save(value: Any) -> dict[str, Any]:
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Restore an object's state that ``save`` returned. Attributes without a saved value get their initial values."""
+    """Restore an object's state that ``save`` returned; attributes without a saved value get initial values."""
     if _BASE not in vars(value):
         made(value)
     base, held = vars(value)[_BASE].values, attributes(value)
@@ -136,11 +136,11 @@ def stateful(value: Any, key: str) -> Any:
 
 
 class Settings:
-    """The settings of a term from its config. Settings that change later, such as by a curriculum, are state.
+    """The settings of a term from its config. Settings of a term that a curriculum or other code changes are state.
 
-    A changed setting is saved together with its value from the config. It is restored only if the config still has the
-    same setting: a setting that was changed in the config has priority. ``groups`` are dictionaries of settings by
-    name, and ``skip`` names settings whose objects save their own state.
+    A changed setting is saved together with the setting's value from the config. It is restored only if the config
+    still has the same setting: a setting that was changed in the config has priority. ``groups`` are dictionaries of
+    settings by name, and ``skip`` names settings whose objects save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:

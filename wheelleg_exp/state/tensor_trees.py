@@ -26,5 +26,5 @@ def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
 
 
 def host_copy(tensor: torch.Tensor) -> np.ndarray[Any, Any]:
-    """Return a copy of a tensor in host memory. Later simulation steps do not change the copy."""
+    """Return a copy of a tensor in host memory. Simulation steps do not change the copy in host memory."""
     return tensor.detach().cpu().numpy().copy()

@@ -3,7 +3,7 @@
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
 and classes, and values that the term writes to the scene, the managers, or the config. Variables of modules and of
 closures are not checked. The class ``Memory`` finds tensors that share memory. A checkpoint saves and restores each
-attribute separately. So two attributes that shared memory before saving would have separate memory after a resume.
+attribute separately. Two attributes that shared memory would have separate memory after a resume.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # __init__ sets attributes, which are saved with the object.
+                if name != "__init__":  # The method __init__ sets attributes, which are saved with the object.
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item
@@ -126,7 +126,7 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-# The work limit of NumPy's exact overlap check. Beyond this limit, overlapping address ranges count as shared.
+# The work limit of NumPy's exact overlap check, beyond which overlapping address ranges count as shared.
 _MOST_WORK = 10_000
 
 
@@ -142,9 +142,9 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners``, whose
-    attributes are saved, may share memory with a tensor that ``others`` returns. The condition is that the two tensors
-    shared memory from the start and still do, so that a write reaches both tensors.
+    Two tensors of one object that share memory always raise ConfigError. A tensor of a saved object in ``owners`` may
+    share memory with a tensor that the function ``others`` returns. The two tensors must share memory from the start
+    until the end, so that a write reaches both tensors.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
@@ -152,7 +152,7 @@ class Memory:
         self._shared = self._sharing()
 
     def require_apart(self) -> None:
-        """Raise ConfigError if two tensors have started or stopped sharing memory since the start."""
+        """Raise ConfigError if two tensors have started or stopped to share memory since the start of the run."""
         now = self._sharing()
         for owner, name, other in sorted(now ^ self._shared):
             verb = "has come to share" if (owner, name, other) in now else "no longer shares"

@@ -1,8 +1,8 @@
 """Functions for rotations, frames, cameras, and random numbers, with the names of ``isaaclab.utils.math``.
 
-Quaternions are (w, x, y, z), angles are radians. Tensors can have any leading dimensions, which are broadcast. Draws
-use torch's global generator. While a user-defined term runs, torch's global generator is the random stream of this
-term.
+Quaternions are (w, x, y, z), angles are radians. Tensor arguments can have any leading dimensions, which are broadcast.
+Draws use torch's global generator. While a user-defined term runs, torch's global generator is the random stream of
+this term.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
 
 
 def quat_unique(q: torch.Tensor) -> torch.Tensor:
-    """Return quaternions with w >= 0 for the same rotations."""
+    """Return the quaternions with w >= 0 that describe the same rotations as the given quaternions."""
     return torch.where(q[..., :1] < 0.0, -q, q)
 
 
@@ -87,7 +87,7 @@ def quat_from_angle_axis(angle: torch.Tensor, axis: torch.Tensor) -> torch.Tenso
 
 
 def axis_angle_from_quat(quat: torch.Tensor, eps: float = SMALL) -> torch.Tensor:
-    """Return the rotation vectors (..., 3) of quaternions; their length is at most pi."""
+    """Return the rotation vectors (..., 3), with lengths of at most pi, of quaternions."""
     quat = quat_unique(quat)
     sine = torch.linalg.vector_norm(quat[..., 1:], dim=-1, keepdim=True)
     angle = 2.0 * torch.atan2(sine, quat[..., :1])
@@ -119,7 +119,7 @@ def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
     cosine = (q1 * q2).sum()
     q2, cosine = torch.where(cosine < 0.0, -q2, q2), cosine.abs().clamp(max=1.0)
     angle = torch.acos(cosine)
-    line = normalize(torch.lerp(q1, q2, tau))  # this formula is accurate for small angles
+    line = normalize(torch.lerp(q1, q2, tau))  # linear interpolation is accurate for small angles
     arc = (torch.sin((1.0 - tau) * angle) * q1 + torch.sin(tau * angle) * q2) / torch.sin(angle).clamp(min=1e-12)
     return torch.where(angle < 1e-4, line, arc)
 
@@ -156,13 +156,13 @@ def matrix_from_quat(quaternions: torch.Tensor) -> torch.Tensor:
 
 
 def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
-    """Return the quaternions (..., 4) of rotation matrices; the method is Shepperd's (1978)."""
+    """Return the quaternions (..., 4) of rotation matrices, computed by Shepperd's method (1978)."""
     m = matrix
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
     # Each row of the matrix 4 q q^T is the quaternion times a number, four times one component.
-    # Taking the row of the largest component avoids a division by a small number.
+    # Taking the matrix row of the largest component avoids a division by a small number.
     w_row, x_row = (1.0 + xx + yy + zz, x, y, z), (x, 1.0 + xx - yy - zz, xy, xz)
     y_row, z_row = (y, xy, 1.0 - xx + yy - zz, yz), (z, xz, yz, 1.0 - xx - yy + zz)
     rows = torch.stack([torch.stack(row, dim=-1) for row in (w_row, x_row, y_row, z_row)], dim=-2)
@@ -190,7 +190,7 @@ def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
 def combine_frame_transforms(
     t01: torch.Tensor, q01: torch.Tensor, t12: torch.Tensor | None = None, q12: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pose of frame 2 in frame 0, given the poses of frame 1 in frame 0 and of frame 2 in frame 1."""
+    """Return the pose of frame 2 in frame 0 from the poses of frame 1 in frame 0 and of frame 2 in frame 1."""
     return t01 if t12 is None else t01 + quat_apply(q01, t12), q01 if q12 is None else quat_mul(q01, q12)
 
 
@@ -205,7 +205,7 @@ def subtract_frame_transforms(
 def rigid_body_twist_transform(
     v0: torch.Tensor, w0: torch.Tensor, t01: torch.Tensor, q01: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Convert a body's linear and angular velocity from one of its frames to another, including the axes."""
+    """Convert a body's linear and angular velocity from one frame of the body to a second frame of the body."""
     return quat_apply_inverse(q01, v0 + cross(w0, t01)), quat_apply_inverse(q01, w0)
 
 
@@ -309,8 +309,8 @@ def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tenso
 def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: bool = True) -> torch.Tensor:
     """Return the points (P, 3) or (N, P, 3) of pixels, m, column by column, in axes x right, y down, z forward.
 
-    Shapes are as in ``orthogonalize_perspective_depth``. ``is_ortho`` means that distances are along the camera's axis,
-    not along the rays of the pixels.
+    Shapes are as in ``orthogonalize_perspective_depth``. With ``is_ortho``, the given distances are along the camera's
+    axis, not along the rays of the pixels.
     """
     pictures = _pictures(depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics))
     v, u = _pixels(pictures)
@@ -322,7 +322,7 @@ def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: boo
 
 
 def project_points(points: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
-    """Return column and row, px, and distance along the camera's axis, m, of points (P, 3) or (N, P, 3), m."""
+    """Return the pixel column, pixel row, and distance along the camera's axis, m, of points (P, 3) or (N, P, 3), m."""
     batch = points.unsqueeze(0) if points.dim() == 2 else points
     seen = torch.einsum("nij,npj->npi", intrinsics.reshape(-1, 3, 3), batch)
     found = torch.cat((seen[..., :2] / seen[..., 2:], batch[..., 2:]), dim=-1)
@@ -348,7 +348,7 @@ def _shape(size: Size) -> tuple[int, ...]:
 
 
 def sample_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return uniform random numbers on [lower, upper)."""
+    """Return random numbers that are uniform on [lower, upper)."""
     return torch.rand(_shape(size), device=device) * (upper - lower) + lower
 
 
@@ -359,7 +359,7 @@ def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> t
 
 
 def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Any) -> torch.Tensor:
-    """Return Gaussian random numbers; if the mean is a tensor, the result has the shape of the mean."""
+    """Return Gaussian random numbers; if the mean is a tensor, the numbers have the shape of the mean."""
     shape = tuple(mean.shape) if isinstance(mean, torch.Tensor) else _shape(size)
     return torch.randn(shape, device=device) * std + mean
 
@@ -409,5 +409,5 @@ def saturate(x: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor) -> torch
 
 
 def copysign(mag: float, other: torch.Tensor) -> torch.Tensor:
-    """Return the magnitude ``|mag|`` with the signs of another tensor."""
+    """Return the magnitude ``|mag|`` with the signs of the elements of a tensor."""
     return torch.copysign(torch.full_like(other, abs(mag)), other)

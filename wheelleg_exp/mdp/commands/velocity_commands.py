@@ -32,7 +32,7 @@ class UniformVelocityCommand(RangedCommand):
     In environments that are drawn as standing, the velocity command is zero. With ``heading_command``, some
     environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. After a
     command was drawn, the first call of ``compute`` applies the standing and heading settings. As in Isaac Lab, the
-    observation right after ``reset`` contains the drawn values without these settings.
+    observation right after ``reset`` contains the drawn values.
 
     Args:
         ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
@@ -165,7 +165,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
 
-_ROLLS = 0.5  # a wheel rolls along x if |wheel axis · base y axis| is at least this value
+_ROLLS = 0.5  # smallest |wheel axis · base y axis| of a wheel that rolls along the x axis
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):

@@ -180,7 +180,7 @@ def randomize_rigid_body_inertia(
     distribution: Distribution = "uniform",
     min_inertia: Positive = 1e-9,
 ) -> None:
-    """Change each principal moment of inertia (kg·m^2) relative to its default value. Masses do not change.
+    """Change each principal moment of inertia (kg·m^2) relative to the moment's default value, but not the masses.
 
     Each moment of inertia is at least ``min_inertia`` and, as for every physical body, at most the sum of the body's
     two other moments. This term and ``randomize_rigid_body_mass``, which scales moments with the mass, both start from

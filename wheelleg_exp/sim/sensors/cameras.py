@@ -118,7 +118,7 @@ def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> to
 
 
 def convert_convention(quat: torch.Tensor, origin: Convention, target: Convention) -> torch.Tensor:
-    """Convert orientations (n, 4), (w, x, y, z), to the axes of another convention."""
+    """Convert orientations (n, 4), (w, x, y, z), from one camera convention to a second one."""
     w, x, y, z = _FROM_WORLD[origin]
     both = torch.tensor([(w, -x, -y, -z), _FROM_WORLD[target]], dtype=quat.dtype, device=quat.device)
     back, there = (axes.expand_as(quat) for axes in both)

@@ -36,7 +36,7 @@ def width(fields: tuple[str, ...]) -> int:
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
     """Return the sum over S contacts of normal force (N, B, 1, S) times contact normal (N, B, S, 3), (N, B, 3)."""
-    if pressures.is_cuda:  # On a GPU, a batched matrix product would be ten times slower than this sum.
+    if pressures.is_cuda:  # On a GPU, a batched matrix product would be ten times slower than a sum.
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
 

@@ -135,8 +135,7 @@ class RayCaster(LazySensor):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the rays' origins, m, directions (n, R, 3), and lengths, m, (n, R); a negative length means no hit.
 
-        ``pos`` is the position of the sensor's body, m, (n, 3); ``drift`` has the sensor's position errors in this
-        episode, m, (n, 6).
+        ``pos`` is the position of the sensor's body, m, (n, 3); ``drift`` has the sensor's position errors, m, (n, 6).
         """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])

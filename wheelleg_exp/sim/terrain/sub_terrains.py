@@ -104,7 +104,7 @@ class SubTerrain(Kept):
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
     A subclass returns heights. A tile's heights become boxes with vertical edges, or a height field whose edges are
-    steep slopes. Each box slows down all environments a little; a height field slows down only the robots on it.
+    steep slopes. Each box slows down all environments a little; a height field slows down only robots on the field.
 
     Args:
         proportion: relative share of the tiles.
@@ -311,7 +311,7 @@ class RandomGrid(SubTerrain):
 
 @dataclass(kw_only=True)
 class DiscreteObstacles(SubTerrain):
-    """Level ground with blocks and pits at random positions; where two overlap, the ground has the later one's height.
+    """Level ground with random blocks and pits; where two overlap, the ground has the height of the one drawn later.
 
     Args:
         obstacle_height_mode: ``fixed`` gives all obstacles one height h; ``choice`` draws from h, h/2, -h/2, -h.
