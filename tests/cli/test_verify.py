@@ -57,7 +57,7 @@ def test_a_training_is_sound_until_a_byte_changes(run):
     states = {check["name"]: check["state"] for check in found["checks"]}
     assert states == dict.fromkeys(states, "ok"), found
     (checkpoints,) = [check for check in found["checks"] if check["name"] == "checkpoints"]
-    assert checkpoints["text"].startswith("3 load; 3 agree")
+    assert checkpoints["text"].startswith("3 files; 3 agree")
     data = bytearray((run.path / "model_1.pt").read_bytes())
     data[len(data) // 2] ^= 1
     (run.path / "model_1.pt").write_bytes(data)

@@ -75,6 +75,7 @@ def test_a_wrong_name_is_reported_with_key_place_and_nearest_name(override, told
         ("env.robot.joint_order=[l01,r01,l02,r02,l03]", "lacks r03"),
         ("env.robot.joint_order=[l01,l01,r01,l02,r02,l03,r03]", "names l01 more than once"),
         ("env.robot.joint_order=[l01,r01,l02,r02,l03,r3]", "no joint 'r3'"),
+        ("env.robot.joint_order=[[l01]]", "no joint '['l01']'"),
         ("env.robot.actuators.wheels.joint_names_expr=['.*0[23]$']", "is driven by both"),
         ("env.robot.asset=nowhere/robot.usda", "there is no file"),
         ("env.robot.init_state.rot=[1,0,0]", "expected 4 finite numbers"),

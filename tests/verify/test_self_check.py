@@ -49,7 +49,7 @@ def test_a_whole_run_is_sound_and_every_check_is_made(run):
     names = ["files", "params", "source", "asset", "iterations", "checkpoints", "failure", "recording", "exported"]
     # The copy of the run has another name.
     assert {check.name: check.state for check in found.checks} == {"manifest": "note", **dict.fromkeys(names, "ok")}
-    assert "3 load; 3 agree" in "\n".join(found.lines())
+    assert "3 files; 3 agree" in "\n".join(found.lines())
     assert json.loads(json.dumps(found.as_dict()))["verdict"] == "sound"
 
 

@@ -73,10 +73,9 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
 def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
     """Return the errors in the config key ``env.robot.joint_order`` for a robot with the joints ``joints``."""
     key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
-    unknown = {name: nearest_name(str(name), joints) for name in order if name not in joints}
-    wrong = [(f"the robot has no joint '{n}'", unknown[n]) for n in order if n not in joints]
-    errors = [ConfigError(message, key=key, expected=expected, nearest=nearest) for message, nearest in wrong]
-    meant = set(unknown.values())
+    unknown = [(f"the robot has no joint '{n}'", nearest_name(str(n), joints)) for n in order if n not in joints]
+    errors = [ConfigError(message, key=key, expected=expected, nearest=nearest) for message, nearest in unknown]
+    meant = {nearest for _, nearest in unknown}
     missing = [name for name in joints if name not in order and name not in meant]
     twice = sorted({str(name) for name in order if order.count(name) > 1})
     if missing:

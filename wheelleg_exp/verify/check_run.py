@@ -158,7 +158,7 @@ def checkpoints(subject: Subject) -> Check:
         notes.append("the log's digests have another definition, so the remaining checkpoints were only loaded")
     if subject.has_ended and last and last != paths[-1].name:
         failures.append(f"the manifest's last checkpoint is {last}, the last file is {paths[-1].name}")
-    return Check("checkpoints", f"{len(paths)} load; {agreed} agree with the digests of the log", failures, notes)
+    return Check("checkpoints", f"{len(paths)} files; {agreed} agree with the digests of the log", failures, notes)
 
 
 def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
@@ -169,7 +169,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
     try:
         state = checkpoint.load(path, finite=False)
     except RunDirectoryError as error:
-        return [error.message], []
+        return [error.message.removeprefix("the file ")], []
     problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]
     if iteration >= len(subject.log.lines):
         return [*problems, "is of an iteration that is not in the log"], []

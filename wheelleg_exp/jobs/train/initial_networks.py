@@ -240,7 +240,7 @@ def _at_key(key: str) -> Iterator[None]:
     try:
         yield
     except RunDirectoryError as error:
-        message = error.message if error.key is None else f"'{error.key}' {error.message}"
+        message = error.message if error.key is None else f"'{error.key}': {error.message}"
         raise ConfigError(message, key=key, expected=error.expected, nearest=error.nearest) from error
 
 

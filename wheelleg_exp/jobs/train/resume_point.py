@@ -42,10 +42,9 @@ class ResumePoint:
         """The lines in the run's iteration log up to the checkpoint."""
         return [line.content for line in self.lines[: self.iteration]]
 
-    @property
-    def dropped(self) -> dict[int, Mapping[str, str]]:
-        """The digests (hashes) of the iterations after the checkpoint, which the resume computes a second time."""
-        later = (line.content for line in self.lines[self.iteration :])
+    def dropped(self, until: int) -> dict[int, Mapping[str, str]]:
+        """Return the digests (hashes) of the iterations below ``until`` that the resume computes a second time."""
+        later = (line.content for line in self.lines[self.iteration : until])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
 

@@ -192,8 +192,9 @@ def _prepare(
     )
     with manifest.failing():
         drop_past_checkpoint(run, point, events=tree["agent"].get("logger") is not None)
-    _report(display, point, why, [*notes, *thread_notes(threads)])
-    recomputed = RecomputedCheck(point.dropped if exact else {}, manifest, display)
+    dropped = point.dropped(tree["agent"]["max_iterations"])
+    _report(display, point, len(dropped), why, [*notes, *thread_notes(threads)])
+    recomputed = RecomputedCheck(dropped if exact else {}, manifest, display)
     return Training(recipe, trainer, run, manifest, lock, point.kept, recomputed)
 
 
@@ -295,13 +296,13 @@ class RecomputedCheck:
             self._manifest.amend_resume(proved=self._range)
 
 
-def _report(display: Display, point: ResumePoint, why: Sequence[str], notes: Sequence[str]) -> None:
+def _report(display: Display, point: ResumePoint, repeated: int, why: Sequence[str], notes: Sequence[str]) -> None:
     for note in notes:
         display.note(note if note.startswith("warning") else f"note: {note}")
     where = "the start" if point.checkpoint is None else point.checkpoint.name
     display.note(f"resuming from {where}, iteration {point.iteration}")
-    if point.dropped:
-        display.note(f"{len(point.dropped)} later iterations are computed again and compared with the log")
+    if repeated:
+        display.note(f"{repeated} later iterations are computed again and compared with the log")
     if why:
         display.note("not exact: the numbers may differ from a run that never stopped")
         for reason in why:
