@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.asset import CachedConversion, convert_cached
-from wheelleg_exp.asset.conversion_cache import find_beside
+from wheelleg_exp.asset.conversion_cache import find_extra_files
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset
@@ -22,9 +22,9 @@ def prepare_asset(
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
-    beside = find_beside(config["env"], asset_roots) | dict(networks or {})
+    extra_files = find_extra_files(config["env"], asset_roots) | dict(networks or {})
     try:
-        return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets", beside=beside)
+        return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets", extra_files=extra_files)
     except AssetError as error:
         raise error.of("env.robot.asset") from error
 

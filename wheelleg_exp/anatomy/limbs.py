@@ -17,7 +17,9 @@ LEVEL = 0.5  # An axle is horizontal if the vertical component of its direction 
 _ROUND = 0.9  # The smallest ratio of a wheel's smallest radius to its largest radius, as in a regular heptagon.
 _ROUGH = 0.6  # A body with the mass distribution of a wheel counts as a wheel down to this roundness, that of a square.
 _LOW = 0.4  # The lowest point of a wheel is below this share of the robot's height.
-_BESIDE = 0.05  # The largest distance of a wheel's shape from the wheel's hinge axis, as a share of the wheel's radius.
+_OFF_AXIS = (
+    0.05  # The largest distance of a wheel's shape from the wheel's hinge axis, as a share of the wheel's radius.
+)
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # Two moments of inertia with a smaller relative difference count as equal.
 _CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the wheel's radius.
@@ -31,7 +33,7 @@ class Found:
 
     The hinge ``joint`` moves ``bodies``. ``centre`` is the centre of the wheel's colliders, on the hinge's axis.
     ``radius`` is the largest extent of the wheel's colliders across the hinge's axis. ``roundness`` is the smallest
-    extent of the wheel's colliders across this axis, divided by ``radius``. ``beside`` is the distance between the
+    extent of the wheel's colliders across this axis, divided by ``radius``. ``off_axis`` is the distance between the
     hinge's axis and the axis of the round colliders; 0 if they are not round.
     """
 
@@ -42,7 +44,7 @@ class Found:
     radius: float
     width: float
     roundness: float
-    beside: float
+    off_axis: float
     why: str
 
 
@@ -100,17 +102,17 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     # The support function of an off-centre circle is its radius plus a cosine of the direction (the first harmonic).
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
-    beside = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
+    off_axis = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
     centre, width = anchor + axis * (there - back) / 2, float(there + back)
     why = f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
     why += f"from the axis all round, within {100 * (1 - roundness):.1f} %"
-    return Found(joint, tuple(bodies), axis, centre, radius, width, roundness, beside, why)
+    return Found(joint, tuple(bodies), axis, centre, radius, width, roundness, off_axis, why)
 
 
 def _where_its_shape_is(shape: Found) -> str:
     """Return why a link is no wheel by its colliders, although its mass distribution is that of a wheel."""
-    if shape.beside > _BESIDE * shape.radius:
-        return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm off its axis"
+    if shape.off_axis > _OFF_AXIS * shape.radius:
+        return f"its colliders are round about a line {1e3 * shape.off_axis:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
     return f"its colliders, unlike its masses, are not round about its axis: they reach {extent} from the axis"
 

@@ -31,7 +31,7 @@ from wheelleg_exp.plain_data import json_value
 from wheelleg_exp.terms.config_values import require_fit
 
 
-def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
+def find_extra_files(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot file.
 
     An ``env`` section can name actuator networks and a terrain file. The function returns each file by the path of its
@@ -78,23 +78,23 @@ class CachedConversion:
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
-    def beside(self) -> tuple[Path, ...]:
+    def extra_files(self) -> tuple[Path, ...]:
         """The copies of actuator networks and of the terrain file in the MJCF's folder."""
         folders = (self.output.parent / name for name in (NETWORKS, GROUND))
         return tuple(sorted(path for folder in folders for path in folder.glob("**/*") if path.is_file()))
 
 
 def source_digest(
-    source: Path, variants: Mapping[str, str] | None = None, beside: Mapping[str, Path] | None = None
+    source: Path, variants: Mapping[str, str] | None = None, extra_files: Mapping[str, Path] | None = None
 ) -> dict[str, str]:
     """Return the sha256 of every source file of the robot, by path relative to the robot file's folder.
 
-    Source files are the layers of a USD stage, or a URDF and its meshes, and the files that ``find_beside`` returns.
+    Source files are the layers of a USD stage, or a URDF and its meshes, and the ``extra_files``.
     """
     source, chosen = Path(source), variants or {}
     with bounded_memory(source):
         files = source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
-    return {**files, **{name: sha256(path) for name, path in sorted((beside or {}).items())}}
+    return {**files, **{name: sha256(path) for name, path in sorted((extra_files or {}).items())}}
 
 
 def convert_cached(
@@ -103,16 +103,16 @@ def convert_cached(
     base: BaseMode = "auto",
     variants: Mapping[str, str] | None = None,
     cache_dir: Path,
-    beside: Mapping[str, Path] | None = None,
+    extra_files: Mapping[str, Path] | None = None,
 ) -> CachedConversion:
     """Convert the robot file ``source``, or return the cached conversion if no source file has changed.
 
     The cache key is a hash of every USD layer or mesh in use, the options, the converter's code, and the versions of
     the converter's libraries. ``convert_cached`` replaces a damaged cache entry. Several processes can call
-    ``convert_cached`` at once. ``beside`` maps a path in the MJCF's folder to the file that is copied to that path.
+    ``convert_cached`` at once. ``extra_files`` maps paths in the MJCF's folder to the files that are copied there.
     """
     source, chosen = Path(source), dict(variants or {})
-    sources = source_digest(source, chosen, beside)
+    sources = source_digest(source, chosen, extra_files)
     parts = {
         "source": source.name,
         "sources": sources,
@@ -131,7 +131,7 @@ def convert_cached(
             draft = folder / "entry"
             report = convert(source, draft / MODEL, base=base, variants=chosen).report
             (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
-            for name, path in (beside or {}).items():
+            for name, path in (extra_files or {}).items():
                 (target := draft / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(path, target)
             (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")

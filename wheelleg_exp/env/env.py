@@ -20,7 +20,6 @@ from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
-from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
@@ -99,8 +98,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             *(self.command_manager, self.event_manager, self.termination_manager, self.recorder_manager),
         ]
         self._ended = AsyncMaskQuery(self.num_envs, self.device)
-        # Sensors other than contact sensors measure after a reset, which can change settings of the sensors.
-        self._sensors_refresh = any(type(s).refresh is not ContactSensor.refresh for s in self.scene.sensors.values())
+        self._sensors_refresh = any(sensor.measures_at_reset for sensor in self.scene.sensors.values())
         # With recorders, no CUDA graph is captured, because recorders wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None

@@ -135,6 +135,7 @@ class CudaGraph:
             raise cause from cause.__cause__
 
     def replay(self) -> None:
+        """Launch all kernels of the recorded graph."""
         self._graph.replay()
 
 

@@ -167,13 +167,13 @@ def _code(record: Mapping[str, Any]) -> dict[str, Any]:
 
 def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
     """Return the facts about this machine and the git checkout that are known before the robot is built."""
-    from wheelleg_exp.asset.conversion_cache import find_beside, source_digest
+    from wheelleg_exp.asset.conversion_cache import find_extra_files, source_digest
 
     with tempfile.TemporaryDirectory() as folder:
         record = snapshot_source(source_roots(composed), Path(folder))
     try:
         env, roots = composed.config["env"], composed.asset_roots
-        layers = source_digest(find_asset(env["robot"]["asset"], roots), beside=find_beside(env, roots))
+        layers = source_digest(find_asset(env["robot"]["asset"], roots), extra_files=find_extra_files(env, roots))
     except WheellegError:
         layers = {}
     facts = {"code": _code(record), "versions": dict(environment.versions()), "hardware": environment.hardware()}

@@ -34,7 +34,7 @@ _FOLDERS = ("assetdir", "meshdir", "texturedir")
 def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
     """Copy the converted robot into a run's folder ``asset/``, and write the sha256 of each of its source files."""
     directory.asset.mkdir(parents=True, exist_ok=True)
-    for part in (*asset.meshes, *asset.beside):
+    for part in (*asset.meshes, *asset.extra_files):
         target = directory.asset / part.relative_to(asset.output.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(part, target)

@@ -146,10 +146,12 @@ class Term(Kept):
             yield
 
     def state_dict(self) -> dict[str, Any]:
+        """Return the state that a checkpoint saves."""
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore the state from a checkpoint."""
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()

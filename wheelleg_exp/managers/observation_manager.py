@@ -158,10 +158,12 @@ class ObservationManager(Kept):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
+        """Return the state that a checkpoint saves."""
         terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
         return {"groups": terms, "obs_buf": cloned(self.obs_buf), "is_first": self._is_first.clone()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore the state from a checkpoint."""
         for group, whole in list(self._prefixes.items()):
             own, longer = ([t["history"]["samples"] for t in saved["groups"][g].values()] for g in (group, whole))
             if not all(map(torch.equal, own, longer)):

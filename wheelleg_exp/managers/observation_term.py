@@ -180,12 +180,14 @@ class ObservationTerm(Kept):
             self.delay.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
+        """Return the state that a checkpoint saves."""
         state: dict[str, Any] = {"modifiers": [modifier.state_dict() for modifier in self._modifiers]}
         state |= {"term": self.term.state_dict(), "noise": self._noise_state.state_dict()}
         last = {"history": self.history, "delay": self.delay}
         return state | {name: part.state_dict() for name, part in last.items() if part is not None}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore the state from a checkpoint."""
         for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
             modifier.load_state_dict(state)
         self.term.load_state_dict(saved["term"])

@@ -70,6 +70,7 @@ class TensorForm:
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError if the value that ``source`` returned is not a tensor of the required form."""
         if self.fits(value):
             return
         found, fix = self._mistake(value)
@@ -127,9 +128,11 @@ class NoForm:
     """The required form for a term without a return value; managers ignore what the term returns."""
 
     def fits(self, value: Any) -> bool:
+        """Return whether a value is None."""
         return value is None
 
     def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError if ``source`` returned a value."""
         if value is not None:
             raise ConfigError(
                 f"{source} returns {described(value)}, which the manager ignores", expected="no return value"
@@ -141,9 +144,11 @@ class FiguresForm:
     """The form of the state that a curriculum logs: a number, numbers by name, or None."""
 
     def fits(self, value: Any) -> bool:
+        """Return whether a value is None or a float, which needs no further check."""
         return value is None or type(value) is float
 
     def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError if ``source`` returned anything but a number, numbers by name, or None."""
         figures = value.values() if isinstance(value, Mapping) else [value]
         wrong = next((figure for figure in figures if figure is not None and not _is_number(figure)), None)
         if wrong is not None:

@@ -40,9 +40,11 @@ class HistoryBuffer:
         return after
 
     def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the state that a checkpoint saves."""
         return {"samples": self.samples.clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
+        """Restore the state from a checkpoint."""
         self.samples = saved["samples"].clone()
 
 
@@ -108,9 +110,11 @@ class RowHistoryPart:
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the state that a checkpoint saves."""
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
+        """Restore the state from a checkpoint."""
         self._row.values = self._row.values.clone()  # copy the row, because a caller may hold the old tensor
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 

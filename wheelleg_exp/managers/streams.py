@@ -43,10 +43,12 @@ class Streams(Kept):
             generator.manual_seed(stream_seed(seed, path))
 
     def state_dict(self) -> dict[str, Any]:
+        """Return the state that a checkpoint saves."""
         generators = {path: generator.get_state() for path, generator in sorted(self._generators.items())}
         return {"seed": self._seed, "generators": generators}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore the state from a checkpoint."""
         self.reseed(saved["seed"])  # random streams that the saved state lacks start from the seed
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)

@@ -169,7 +169,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
     try:
         state = checkpoint.load(path, finite=False)
     except RunDirectoryError as error:
-        return [error.message.removeprefix("the file ")], []
+        return [f"cannot be loaded: {error.message}"], []
     problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]
     if iteration >= len(subject.log.lines):
         return [*problems, "is of an iteration that is not in the log"], []

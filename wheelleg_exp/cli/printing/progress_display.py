@@ -154,6 +154,7 @@ class ConsoleSweepDisplay(LiveLines):
             self._progress.reset(self._all, description="jobs that have ended")
 
     def started(self, job: Mapping[str, Any]) -> None:
+        """Show that a job of the sweep has started."""
         number = job["number"]
         self._last_plain[number] = time.monotonic()
         if self._live:
@@ -162,6 +163,7 @@ class ConsoleSweepDisplay(LiveLines):
             self.say(f"{_title(job)} started")
 
     def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
+        """Show that a job of the sweep has finished ``done`` of ``total`` training iterations."""
         number, now = job["number"], time.monotonic()
         if self._live:
             self._progress.update(self._tasks[number], completed=done, total=total, figures=figures(scalars))
@@ -181,6 +183,7 @@ class ConsoleSweepDisplay(LiveLines):
         self.say(f"{_title(job)} {job['status']}{why}")
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
+        """Show a note of a job once, although several jobs may send the same note."""
         if text not in self._shown:
             self._shown.add(text)
             self.say(hanging(f"job {job['number']}: {text}", 4))

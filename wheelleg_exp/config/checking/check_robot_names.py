@@ -36,13 +36,13 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
     A missing robot file, or a file without a robot, raises ConfigError.
     """
     from wheelleg_exp.asset import convert_cached
-    from wheelleg_exp.asset.conversion_cache import find_beside
+    from wheelleg_exp.asset.conversion_cache import find_extra_files
 
     robot = env["robot"]
     try:
         source = find_asset(robot["asset"], asset_roots, key=ASSET_KEY)
-        beside, base = find_beside(env, asset_roots), robot.get("base", "auto")
-        return convert_cached(source, base=base, cache_dir=cache_dir() / "assets", beside=beside).output
+        extra_files, base = find_extra_files(env, asset_roots), robot.get("base", "auto")
+        return convert_cached(source, base=base, cache_dir=cache_dir() / "assets", extra_files=extra_files).output
     except AssetError as error:
         keyed = error if str(error.key).startswith("env.") else error.of(ASSET_KEY)
         raise ConfigError(keyed.message, key=keyed.key, expected=keyed.expected, nearest=keyed.nearest) from error

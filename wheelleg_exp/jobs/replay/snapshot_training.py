@@ -170,7 +170,7 @@ def _converted_again(
     run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
     """Return the newly converted robot, or None with the reason why the conversion failed."""
-    from wheelleg_exp.asset.conversion_cache import convert_cached, find_beside, source_digest
+    from wheelleg_exp.asset.conversion_cache import convert_cached, find_extra_files, source_digest
     from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
     from wheelleg_exp.paths import find_asset
 
@@ -178,10 +178,10 @@ def _converted_again(
     robot, roots = env["robot"], [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
     try:
         source = find_asset(_moved(str(robot["asset"]), request.moved), roots, key="env.robot.asset")
-        beside = find_beside(env, roots) | saved_networks(run)
-        if source_digest(source, beside=beside) != saved_sources(run):
+        extra_files = find_extra_files(env, roots) | saved_networks(run)
+        if source_digest(source, extra_files=extra_files) != saved_sources(run):
             return None, f"'{source.name}' or a file that it uses is not the recorded one"
-        return convert_cached(source, base=robot["base"], cache_dir=cache, beside=beside), None
+        return convert_cached(source, base=robot["base"], cache_dir=cache, extra_files=extra_files), None
     except WheellegError as error:
         return None, f"the robot cannot be converted again ({error})"
 

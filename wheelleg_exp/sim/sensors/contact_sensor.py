@@ -377,6 +377,10 @@ class ContactSensor(SensorBase):
         self._found.index_fill_(0, ids, 0.0)
         self._largest_norm = None
 
+    @property
+    def measures_at_reset(self) -> bool:
+        return type(self).refresh is not ContactSensor.refresh
+
     def refresh(self, env_ids: torch.Tensor) -> None:
         self._is_new.index_fill_(0, env_ids, False)  # Contact forces exist only after a physics step.
 

@@ -93,6 +93,11 @@ class SensorBase(Kept):
         if self.update_period > 0.0:
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
+    @property
+    def measures_at_reset(self) -> bool:
+        """Whether ``refresh`` measures, which can change settings of the sensor."""
+        return True
+
     def refresh(self, env_ids: torch.Tensor) -> None:
         """After a reset, measure in the environments ``env_ids``, so that the first observation shows the new state."""
         new = env_ids[self._is_new[env_ids]]

@@ -44,6 +44,7 @@ class Node:
         return [self.joint, *self.added] if self.joint else []
 
     def frame_in_body(self, joint: Joint) -> Frame:
+        """Return the frame of a joint in the frame of the node's body."""
         return joint.frames[joint.side(self.link)]
 
 

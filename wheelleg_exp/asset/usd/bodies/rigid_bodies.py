@@ -54,6 +54,7 @@ class Links:
         return found
 
     def below(self, path: Sdf.Path) -> list[Link]:
+        """Return the links at and below a prim path."""
         return [link for link in self.by_path.values() if Sdf.Path(link.path).HasPrefix(path)]
 
 

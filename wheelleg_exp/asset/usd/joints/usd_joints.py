@@ -37,10 +37,12 @@ class Joint:
 
     @property
     def kind(self) -> str:
+        """The USD type of the joint, such as ``PhysicsRevoluteJoint``."""
         return str(self.prim.GetTypeName())
 
     @property
     def welds(self) -> bool:
+        """Whether the joint has no free axis."""
         return not self.axes
 
     def side(self, link: Link | None) -> int:
@@ -48,6 +50,7 @@ class Joint:
         return 0 if self.links[0] is link else 1
 
     def other(self, link: Link | None) -> Link | None:
+        """Return the link that the joint connects to ``link``; None is the world."""
         return self.links[1 - self.side(link)]
 
 
