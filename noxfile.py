@@ -12,9 +12,9 @@ nox.needs_version = ">=2025.5"
 nox.options.sessions = ["lint", "typecheck", "repro", "tests"]
 nox.options.default_venv_backend = "none"
 nox.options.error_on_external_run = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # tests start hundreds of processes: what is compiled once is kept
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # Hundreds of child processes share the compiled modules.
 
-# Each file's tests stay in one process, where they share what they have trained; files in order, long ones not last.
+# All tests of a file run in one process and share its trainings; long files do not run last.
 SPREAD = ("-n", "logical", "--dist", "loadfile", "--no-loadscope-reorder")
 _MAIN = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main())"
 _PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
@@ -24,7 +24,7 @@ SLOW = "slow or train or repro or full or pictures or browser or corpus"
 
 
 def _python(session: nox.Session, *words: str) -> None:
-    """Run a module with this interpreter; a missing environment is said in one line."""
+    """Run a module with this interpreter; report a missing environment in one line."""
     if importlib.util.find_spec("wheelleg_exp") is None:
         session.error("the package is not installed here: run `make setup`, then `.venv/bin/nox`")
     session.run(sys.executable, "-m", *words)
@@ -65,16 +65,16 @@ def typecheck(session: nox.Session) -> None:
 
 @nox.session
 def gpu(session: nox.Session) -> None:
-    """Run on a GPU the tests of the engine on mujoco-warp and of PPO's CUDA graphs; say what is lacking."""
+    """Run the tests of the mujoco-warp engine and of PPO's CUDA graphs on a GPU."""
     _require_gpu(session)
     _python(session, "pytest", "-p", "no:xdist", "tests/sim/warp", "tests/rl/test_ppo_graphs.py", *session.posargs)
 
 
 def _require_gpu(session: nox.Session) -> None:
-    """Let the engine's tests run on a GPU; skip the session, and say why, where there is none."""
-    lacking = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
-    if lacking:
-        session.skip(f"there is no {' and no '.join(lacking)}: pip install 'wheelleg_exp[gpu]'")
+    """Make the engine's tests run on a GPU; skip the session with a reason if no GPU exists."""
+    missing = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
+    if missing:
+        session.skip(f"not installed: {', '.join(missing)}; run pip install 'wheelleg_exp[gpu]'")
     import torch
 
     if not torch.cuda.is_available():
@@ -84,7 +84,7 @@ def _require_gpu(session: nox.Session) -> None:
 
 @nox.session(venv_backend="virtualenv")
 def clients(session: nox.Session) -> None:
-    """Test with other people's libraries, in an environment of their own above this one."""
+    """Test with third-party libraries, in a separate environment on top of this one."""
     here, own = sysconfig.get_path("purelib"), session.run("python", "-c", _PURELIB, silent=True).strip()
     Path(own, "_wheelleg.pth").write_text(f"import site; site.addsitedir({here!r})\n")
     session.install("-r", "tests/clients/requirements.txt")
@@ -93,14 +93,14 @@ def clients(session: nox.Session) -> None:
 
 @nox.session
 def results(session: nox.Session) -> None:
-    """Train and evaluate what the tables of docs/results name, all or the named ones, and compare to the bit."""
+    """Repeat the trainings and evaluations of docs/results, all or the named ones, and compare them bit by bit."""
     names = session.posargs or sorted(path.stem for path in Path("docs/results").glob("*.json"))
     session.run(sys.executable, "-c", _MAIN, "results", *names, "--again")
 
 
 @nox.session
 def repro(session: nox.Session) -> None:
-    """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds the long proofs."""
+    """Prove with small sizes that runs repeat bit by bit, one check per line; `-- full` adds the long proofs."""
     words = [word for word in session.posargs if word != "full"]
     marks = "repro or full" if "full" in session.posargs else "repro"
     where = "tests" if "full" in session.posargs else "tests/repro"

@@ -36,3 +36,11 @@ def test_kills_at_many_moments(lab: Lab, seed: int):
 
 def test_a_stop_after_any_iteration_changes_nothing(lab: Lab):
     assert checks.splits(lab, every=[[1], [3]]) == []
+
+
+@pytest.mark.parametrize(
+    "proof",
+    [checks.two_processes, checks.torch_threads, checks.physics_threads, checks.recording, checks.tensorboard],
+)
+def test_a_single_setting_changes_nothing(lab: Lab, proof):
+    assert proof(lab) == []

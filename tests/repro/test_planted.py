@@ -21,7 +21,7 @@ Planter = Callable[..., Lab]
 @pytest.mark.parametrize(
     ("proof", "term"),
     [
-        pytest.param(checks.two_processes, "entropy", marks=usual),
+        pytest.param(checks.settings, "entropy", marks=usual),
         pytest.param(checks.torch_threads, "torch_threads", marks=long),
         pytest.param(checks.physics_threads, "physics_threads", marks=long),
         pytest.param(checks.recording, "observers", marks=long),
@@ -31,7 +31,7 @@ def test_a_proof_fails_when_its_cause_is_planted(planted: Planter, proof, term):
     assert "model_0.pt" in proof(planted(term))
 
 
-@usual
+@long
 def test_another_term_shows_a_draw_from_a_foreign_stream_and_a_draw_from_the_global_generator_is_rejected(lab: Lab):
     assert any("actor_state_dict" in what for what in checks.added_term(lab, "planted.terms.borrowed_draw"))
     with pytest.raises(Refused, match="generator"):
@@ -50,7 +50,7 @@ def test_kill_9_shows_state_that_is_not_saved(planted: Planter):
     assert "model_3.pt" in checks.killed(planted("hidden_steps"), lines=[2])
 
 
-@usual
+@long
 def test_a_replay_shows_what_the_snapshot_does_not_hold(planted: Planter, tmp_path):
     outside = tmp_path / "outside.txt"
     outside.write_text("1.0")

@@ -12,8 +12,7 @@ from repro.runs import Lab, differences
 pytestmark = [pytest.mark.repro, pytest.mark.train]
 
 
-PROOFS = [checks.two_processes, checks.torch_threads, checks.physics_threads, checks.recording, checks.tensorboard]
-PROOFS += [checks.added_term, checks.splits, checks.killed, checks.snapshot]
+PROOFS = [checks.settings, checks.added_term, checks.splits, checks.killed, checks.snapshot]
 
 
 @pytest.mark.parametrize("proof", PROOFS)
