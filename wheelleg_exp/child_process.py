@@ -79,7 +79,7 @@ class Child:
         self.open = {self._output: b"", self._errors: b""}
         for pipe in self.open:
             os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError):  # When the parent reads the events, a dead process raises an error.
+        with contextlib.suppress(OSError):  # Writing to a dead child process fails; `_events` reports its death.
             self._input.write(request)
             self._input.flush()
 
@@ -89,8 +89,8 @@ class Child:
             self._input.close()
 
     def interrupt(self) -> None:
-        """Stop a job immediately after an earlier stop request. A job treats SIGTERM as the second stop request."""
-        self.process.send_signal(signal.SIGTERM)  # A shell's background job ignores SIGINT.
+        """Send SIGTERM to a job that was already asked to stop, so that the job stops immediately."""
+        self.process.send_signal(signal.SIGTERM)  # Use SIGTERM, because a shell's background job ignores SIGINT.
 
     def kill(self) -> None:
         """Kill the child process in which the job runs."""
@@ -116,7 +116,7 @@ class Child:
             while chunk := os.read(pipe.fileno(), _CHUNK):
                 found += chunk
             found += b"\n"
-        except BlockingIOError:  # The pipe is open but contains no bytes.
+        except BlockingIOError:  # The child process has not closed the pipe, but the pipe contains no more bytes.
             found, _, self.open[pipe] = found.rpartition(b"\n")
         for raw in filter(bytes.strip, found.split(b"\n")):
             line = raw.decode(errors="replace").rstrip()
@@ -163,7 +163,7 @@ def parse_event(line: str) -> Event | None:
 
 @contextmanager
 def job_events(child: Child, stop: StopRequest) -> Iterator[Iterator[Event]]:
-    """Yield an iterator over the events of a job; on exit, end its process: politely, then at once, then by force.
+    """Yield an iterator over the events of a job; on exit, ask the job to stop, then interrupt it, then kill it.
 
     The returned iterator raises ``Interrupted`` if the job was stopped, and a WheellegError if the job failed.
     """
@@ -199,7 +199,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
     act()
     deadline = time.monotonic() + patience_s
     while not child.over() and time.monotonic() < deadline:
-        for _ in listen([child], 0.05):  # A process with a full pipe cannot end before the parent reads the full pipe.
+        for _ in listen([child], 0.05):  # A child process with a full output pipe ends only after the parent reads it.
             pass
 
 
@@ -265,8 +265,8 @@ def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
 class Worker:
     """A module in a child process that answers pickled requests with bytes (see ``serve_requests``).
 
-    The child process first receives ``order``, and sends ``ready`` when it can answer requests. ``errors`` is an empty
-    file, to which the child process writes its standard error.
+    The child process first receives the startup data ``order``, and sends ``ready`` when it can answer requests.
+    ``errors`` is an empty file, to which the child process writes its standard error.
     """
 
     def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
@@ -299,7 +299,7 @@ class Worker:
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
 
     def close(self) -> None:
-        """End the child process of the worker."""
+        """Close the pipes to the child process, and kill the child process if it does not end by itself."""
         for stream in (self._stdin, self._stdout):
             with contextlib.suppress(OSError):
                 stream.close()
@@ -317,10 +317,10 @@ class Worker:
 def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
     """Answer requests in the process of a ``Worker`` until standard input ends.
 
-    ``prepare`` receives the order of the ``Worker``, and yields the function that answers requests.
+    The context manager ``prepare`` receives the startup data ``order``, and yields the function that answers requests.
     """
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # Text that a library prints must not mix with the answers on standard output.
+    os.dup2(2, 1)  # Libraries must print to standard error, because standard output carries the answers to requests.
     with prepare(pickle.load(source)) as answer:
         target.write(_READY)
         target.flush()
@@ -348,7 +348,7 @@ def running_program(
         stderr=subprocess.STDOUT,
         env=dict(environ),
         cwd=folder,
-        start_new_session=True,  # Ctrl-C must reach only the parent process.
+        start_new_session=True,  # In its own session, the program does not receive Ctrl-C.
     )
     try:
         yield process

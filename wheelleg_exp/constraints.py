@@ -20,8 +20,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 class Constraint:
     """A requirement that the value of an annotated parameter must satisfy.
 
-    In messages, ``form`` replaces the type, such as ``[low, high]``; ``broken`` replaces the value; and ``text``
-    follows the type: ``a number, <text>``.
+    In an error message, the attribute ``form`` replaces the name of the expected type, for example by ``[low, high]``.
+    The attribute ``broken`` replaces the text that the value is out of range, and ``text`` follows the type's name.
     """
 
     form: str = ""
@@ -29,7 +29,7 @@ class Constraint:
     text: str = ""
 
     def words(self) -> str:
-        """Return the constraint as the text that follows the type in error messages."""
+        """Return the constraint's text for an error message, such as ``at least 0`` in ``a number, at least 0``."""
         return self.text
 
     def holds(self, value: Any) -> bool:
@@ -174,7 +174,7 @@ _RULES = "_relations"
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
     """Attach a rule between several parameters to a function or class.
 
-    The rule gets all parameters, including defaults, after each parameter has passed the parameter's own check.
+    The function ``rule`` gets the values of all parameters, after each value has met the constraints of its annotation.
     """
 
     def attach(target: _Target) -> _Target:
@@ -185,5 +185,5 @@ def relation(rule: Rule) -> Callable[[_Target], _Target]:
 
 
 def rules_of(target: Callable[..., Any]) -> Sequence[Rule]:
-    """Return the rules of a function or class; a class inherits the rules of its base classes."""
+    """Return the rules that ``relation`` attached to a function or class; a class inherits its base classes' rules."""
     return getattr(target, _RULES, ())

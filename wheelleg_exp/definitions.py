@@ -1,7 +1,7 @@
-"""Define every reported figure: its label, its unit, and its meaning.
+"""Define every reported number, such as the mean return: its label, its unit, and its meaning.
 
-Commands, plots, reports, and docs read the definitions of figures such as the mean return. The sections are: the text
-of figures, the scalars of a training, and the figures of plays, of agents, of drives, and of a recording.
+Commands, plots, reports, and pages show reported numbers with these labels and units. The module's sections define the
+numbers of a training, of evaluated episodes, of an interactive drive, and of a recording.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ NOT_FINITE = "a number that is not finite"
 
 @dataclass(frozen=True)
 class Definition:
-    """The definition of a figure: its label, its unit, and its meaning.
+    """The definition of a reported number: its label, its unit, and its meaning.
 
-    ``unit`` is empty for a figure that is a pure number, a count or a text. ``meaning`` states which episodes,
-    environments and steps a figure covers, and how the figure is computed. For a figure that is a mean, ``of`` names
-    the episodes or steps over which the mean is computed.
+    ``unit`` is empty for a ratio, a count, and a text. ``meaning`` states which episodes, environments, and steps a
+    reported number covers, and how the number is computed. If a reported number is a mean, ``of`` states the episodes
+    or steps over which the mean is computed.
     """
 
     label: str
@@ -32,14 +32,14 @@ class Definition:
 
     @property
     def heading(self) -> str:
-        """The heading of a table column, which consists of a figure's label and unit. A percentage needs no unit."""
+        """The heading of a table column: a reported number's label and unit. A percentage needs no unit."""
         return f"{self.label} ({self.unit})" if self.unit not in ("", SHARE) else self.label
 
 
 def ending(terms: Iterable[str]) -> str:
     """Return the text for the termination terms that were true in an episode's last step.
 
-    An episode without a true termination term ended because a reward or a state was not finite.
+    If no termination term was true, the episode ended because a reward or a state was not finite.
     """
     return " and ".join(terms) or NOT_FINITE
 
@@ -51,7 +51,7 @@ def percent(share_: float) -> str:
 
 
 def share(part: int, whole: int) -> str:
-    """Return a share with both counts, such as ``93.8% (60 of 64)``; return a dash if ``whole`` is 0."""
+    """Return the share ``part`` of ``whole`` as text, such as ``93.8% (60 of 64)``, or a dash if ``whole`` is 0."""
     return f"{percent(part / whole)} ({part} of {whole})" if whole else "-"
 
 
@@ -124,7 +124,7 @@ SCALARS = {
     "Perf/learning_time": Definition("time of the update", "s", "Wall-clock time."),
 }  # fmt: skip
 
-# The columns of the table of `wheelleg list runs`, by heading.
+# The command `wheelleg list runs` prints a table with the following columns.
 LISTED = {
     "done": Definition("done", "", "Finished iterations, and the requested number."),
     "return": Definition("return", "", "`Train/mean_reward` of the last iteration."),
@@ -137,7 +137,7 @@ LISTED = {
         "Time from the start of the run to its end. For a resumed run: the sum of its iterations."),
 }  # fmt: skip
 
-# The keys of a run's manifest in addition to the scalars of the last iteration.
+# A run's manifest contains the following keys and the training scalars of the last iteration.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
     "results.seconds": Definition("seconds", "s",
@@ -147,7 +147,7 @@ MANIFEST = {
         "no episode of the environment has ended."),
 }  # fmt: skip
 
-# The key prefixes of the scalars that describe the result of a training.
+# Training scalars whose keys start with these prefixes describe the result of a training.
 ENDED_AS = (
     *("Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/"),
     *("Metrics_per_step/", "Episode_Metrics/"),
@@ -175,14 +175,14 @@ def scalar_definition(key: str) -> Definition | None:
     return None
 
 
-# --- figures of plays and agents ---
+# --- evaluated episodes ---
 
 ROLLOUT_ABOUT = (
     "These figures cover the first episode of each environment. Height and pitch cover all control steps after "
     "`settle_s`, of all these episodes together: an episode that ends early counts with fewer steps. The label says "
     "after how many seconds."
 )
-# The figures of a play, by their keys in figures.json and in a run's manifest.
+# The command `wheelleg play` writes the following keys to the file figures.json and to the run's manifest.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
     "unfinished": Definition("still running", "",
@@ -216,7 +216,7 @@ MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
     "If a figure has one value for each actuator group, its label names the group."
 )
-# The figures of motion, by their keys in a play's figures.json; the last three have a value per actuator group.
+# The following keys in figures.json describe the robot's motion; the last three have a value per actuator group.
 MOTION = {
     "drift_m": Definition("strayed from its place", "m",
         "Largest distance in the plane from the base's position at the settling time, mean over the episodes that "
@@ -239,7 +239,7 @@ CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
     "cover the control steps at least 0.2 s after a reset in which the robot is tilted by less than 0.2 rad."
 )
-# The figures of contacts, by their keys in a play's figures.json below `contacts.<sensor>`.
+# The following keys below `contacts.<sensor>` in figures.json describe the contact forces of a contact sensor.
 CONTACTS = {
     "mean_n": Definition("mean", "N",
         "Mean size of the net normal force at the end of these steps; 0 without contact."),
@@ -250,7 +250,7 @@ CONTACTS = {
 
 
 def rollout_label(key: str, settle_s: float | None) -> str:
-    """Return a figure's label and the covered part of an episode; ``settle_s``, the settling time, can be None."""
+    """Return a reported number's label, which states the settling time ``settle_s`` (s) if the number excludes it."""
     if key in MOTION:
         return f"{MOTION[key].label}, {settled_window(settle_s)}"
     text = ROLLOUT[key].label
@@ -258,7 +258,7 @@ def rollout_label(key: str, settle_s: float | None) -> str:
 
 
 def settled_window(settle_s: float | None) -> str:
-    """Return a text with the part of an episode that the figures of height and pitch cover."""
+    """Return the covered part of an episode as text, such as ``after 1 s`` for a settling time ``settle_s`` of 1 s."""
     if settle_s is None:
         return "once settled"
     return f"after {settle_s:g} s" if settle_s else "from the start"
@@ -270,7 +270,7 @@ DRIVE_ABOUT = (
     "These figures cover one robot over all control steps of the drive, including its falls and restarts. There is one "
     "drive for each selected checkpoint and each selected ground."
 )
-# The figures of a drive, by their keys in a play's figures.json and in manifests of the kind `drive`.
+# The following keys describe an interactive drive, in figures.json and in manifests of the kind `drive`.
 DRIVE = {
     "duration_s": Definition("driven", "s", "Simulated time. Pauses, and the time for which falls are shown, are out."),
     "steps": Definition("control steps", "", "Number of control steps."),
@@ -287,7 +287,7 @@ DRIVE = {
 
 
 def drive_rows(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the figures of a drive as rows of a table: label and value."""
+    """Return the reported numbers of an interactive drive as table rows of a label and a value."""
     found = []
     for key, definition in DRIVE.items():
         value = figures[key]
@@ -320,7 +320,7 @@ _WHOLE = {
     "mean_reward": Definition("return, mean", "",
         "Mean over the whole episodes of the sum of rewards, not discounted."),
 }  # fmt: skip
-# The outer keys are titles of tables that `wheelleg inspect` prints; the inner keys are names in its JSON output.
+# The outer keys of RECORDED are titles of tables that `wheelleg inspect` prints; the inner keys are JSON keys.
 RECORDED = {
     "samples": {
         "iterations": Definition("iterations", "", "Iterations of the sample's first and last frame."),
@@ -386,5 +386,5 @@ def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:
 
 
 def recorded_label(table: str, key: str) -> str:
-    """Return the label of a figure from a table of definitions."""
+    """Return the label of the reported number ``key`` in a table of ``wheelleg inspect``."""
     return RECORDED[table][key].label

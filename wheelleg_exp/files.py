@@ -23,12 +23,12 @@ from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_valu
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"
-# The largest sizes, in bytes, of files that are read completely into memory.
+# The constants are the largest sizes, in bytes, of files that are read completely into memory.
 _LARGEST, _LARGEST_JSON, _LARGEST_YAML = 1 << 30, 1 << 26, 1 << 22
 
 
 def file_error(path: Path, error: OSError, verb: str = "write") -> WheellegError:
-    """Return the error to raise: a full or broken disk is a failure of the run, other errors are wrong input."""
+    """Return SimulationFailure for a full or broken disk, and RunDirectoryError for any other OSError."""
     reason = os.strerror(error.errno).lower() if error.errno else str(error)
     message = f"cannot {verb} '{path}': {reason}"
     if error.errno in _DEVICE_ERRORS:
@@ -47,7 +47,7 @@ def for_people(path: Path, verb: str = "write") -> Iterator[None]:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """Convert a RunDirectoryError inside the ``with`` block to a failure of the run that started with valid paths."""
+    """Convert a RunDirectoryError inside the ``with`` block to SimulationFailure, because the run has started."""
     try:
         yield
     except RunDirectoryError as error:
@@ -59,7 +59,7 @@ def while_running() -> Iterator[None]:
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     """Write ``data`` to ``path`` atomically: a reader sees the old file or the complete new one.
 
-    Missing folders are created. The data are synced to the disk before the temporary file is renamed to ``path``. A
+    Missing folders are created. A temporary file with ``data`` is synced to the disk, and then renamed to ``path``. A
     full or broken disk raises SimulationFailure; any other problem with ``path`` raises RunDirectoryError.
     """
     temporary = temporary_name(path)
@@ -226,8 +226,8 @@ def temporary_name(path: Path) -> Path:
 def temporary_folder(target: Path) -> Iterator[Path]:
     """Make a folder next to ``target`` for the ``with`` block to fill and rename; remove a folder that is not renamed.
 
-    The new folder is not removed if the process is killed. The next call for the same ``target`` removes left-over
-    folders that no process has locked.
+    A killed process leaves its temporary folder behind. The next call of ``temporary_folder`` with the same ``target``
+    removes each temporary folder that no running process has locked.
     """
     for left in target.parent.glob(f".{glob.escape(target.name)}.*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError), _flocked(left):
@@ -236,7 +236,7 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # On a file system without locks, left-over folders are never removed.
+        with contextlib.suppress(OSError):  # Without file locks, temporary folders of killed processes remain.
             stack.enter_context(_flocked(folder))
         yield folder
 

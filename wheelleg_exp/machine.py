@@ -164,7 +164,7 @@ def keep_kernels(recorded: Mapping[str, str]) -> None:
 def own_environ() -> dict[str, str]:
     """Return the environment variables for a child process, without the variables that this program has set.
 
-    A child process would treat inherited variables as the user's choice, and would ignore a run's MKL code path.
+    A child process would treat an inherited MKL_CBWR as the user's choice, and ignore the value recorded with a run.
     """
     return {name: value for name, value in os.environ.items() if name not in _chosen}
 

@@ -1,10 +1,10 @@
 """Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The declaration of an installed
-project is read from the installed distribution. Without installation, a project counts while the current folder is in
-it, or while ``--config-dir`` names it: its ``configs/`` is on the search path, and its declared packages can be
-imported. A package that a project declares is imported only if a config names a target in the package. Packages that a
-project does not declare cannot be imported from the project.
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
+declared packages are read from the installed distribution. A project that is not installed is used if the current
+folder is in the project, or if ``--config-dir`` names the project. The folder ``configs/`` of a used project is on
+Hydra's search path. A package that a used project declares is imported if a config names a function or class of the
+package in ``_target_``. Packages that a project does not declare cannot be imported from the project.
 
 The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
 run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
@@ -53,7 +53,7 @@ def real_path(path: str | Path) -> str:
     """Return an absolute path without symbolic links; return an empty text for an invalid path."""
     try:
         return os.path.realpath(path)
-    except ValueError:  # The path contains a null character.
+    except ValueError:  # ``path`` contains a null character.
         return ""
 
 
@@ -70,11 +70,11 @@ def _trust_file() -> Path:
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
-# The files whose presence shows that a folder is not a user project.
+# A folder with a file in ``_RECORDS`` was written by a command, so the folder is not a user project.
 _RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")
 CONFIGS = "configs"
 _ROOT = 0  # the administrator's user id
-_SOURCES = ("", "src")  # The folders inside a user project that can contain packages.
+_SOURCES = ("", "src")  # A user project's root or its folder ``src`` contains the packages.
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Project:
         return self.root / CONFIGS
 
     def source(self, package: str) -> Path:
-        """Return the folder that contains a declared package's top-level folder or module."""
+        """Return the project's folder that contains the top-level folder or module of the package ``package``."""
         top = package.split(".")[0]
         for folder in (self.root / name for name in _SOURCES):
             if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
@@ -133,7 +133,7 @@ def _package(value: Any, file: Path) -> str:
 
 
 def current_project() -> Project | None:
-    """Return the nearest user project at or above the current folder; None inside a run, pipeline, sweep or bundle."""
+    """Return the nearest user project around the current folder; ignore projects inside run or sweep directories."""
     here = Path.cwd()
     above = (here, *here.parents)
     records = [number for number, folder in enumerate(above) if any((folder / name).is_file() for name in _RECORDS)]
@@ -148,7 +148,7 @@ def current_project() -> Project | None:
 def _require_own(project: Project) -> None:
     """Raise ConfigError if a project above the current folder belongs to a different user of the computer.
 
-    git has the same rule: being in a folder does not mean that the user trusts it.
+    As in git, a user does not trust a folder only because the folder is the current folder.
     """
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
@@ -166,7 +166,7 @@ def with_current(folders: Sequence[Path]) -> list[Path]:
     try:
         project = current_project()
     except ConfigError as error:
-        if error.key in {str(folder.parent) for folder in found}:  # Projects on the user's command line are trusted.
+        if error.key in {str(folder.parent) for folder in found}:  # The user trusts projects named on the command line.
             return found
         raise
     if project is not None:
@@ -189,7 +189,7 @@ def config_folder(folder: Path) -> Path:
     if absolute.is_dir():
         project = read_project(absolute)
         return project.configs if project is not None and project.configs.is_dir() else absolute
-    if str(folder) in installed_packages():  # Find the folder of an installed package without importing it.
+    if str(folder) in installed_packages():  # Find an installed package's folder without importing the package.
         spec = importlib.util.find_spec(str(folder).split(".")[0])
         for place in spec.submodule_search_locations or () if spec is not None else ():
             for configs in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
@@ -208,14 +208,14 @@ def config_folder(folder: Path) -> Path:
 
 
 def installed_packages() -> tuple[str, ...]:
-    """Return the packages that installed distributions allow configs to call."""
-    from importlib import metadata  # The import of importlib.metadata is too slow for composing a config.
+    """Return the names of the packages that installed distributions declare as callable from configs."""
+    from importlib import metadata  # Import here, because composing a config must not import slow modules.
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
 
 
-# --- import of packages of the projects in use ---
+# --- import of the packages that user projects declare ---
 
 _joined: dict[str, Project] = {}
 
@@ -229,8 +229,8 @@ def join(project: Project) -> None:
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
     """Allow configs to call the packages of the given config folders or, if none is given, of a run's recorded folders.
 
-    This function is the one rule for every record: a recorded folder is used only if it exists and is the current
-    project's or trusted. Recorded config folders that are not trusted are ignored (see ``left_out``).
+    A config folder recorded in a run is used only if the folder exists, and belongs to the current project or is
+    trusted. Recorded config folders that are not trusted are ignored (see ``left_out``).
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:
@@ -242,14 +242,14 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
 
 
 def own_folders(recorded: Iterable[str]) -> list[Path]:
-    """Return the config folders recorded with a run that are in use now or trusted by the user."""
+    """Return those config folders recorded in a run that belong to a project in use or that the user trusts."""
     in_use = {real_path(project.configs) for project in _joined.values()}
     own = (folder for folder in recorded if real_path(folder) in in_use or is_trusted(folder))
     return [Path(folder) for folder in own if Path(folder).is_dir()]
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
-    """Return the config folders recorded with a run that ``found`` lacks, each with the reason for the omission."""
+    """Map each config folder that a run recorded, but that is not in ``found``, to the reason why it is not used."""
     used = {real_path(folder) for folder in found}
     others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
@@ -259,12 +259,12 @@ def is_there(folder: str | Path) -> bool:
     """Return whether a folder exists; return False for an invalid folder name."""
     try:
         return Path(folder).is_dir()
-    except OSError:  # The name of the folder is invalid, for example too long.
+    except OSError:  # The operating system rejects the folder's name, for example because the name is too long.
         return False
 
 
 def join_folder(folder: Path) -> None:
-    """If a user project contains the config folder, allow configs to call the packages of this project."""
+    """If ``folder`` is a user project's config folder, allow configs to call the packages that the project declares."""
     project = read_project(folder.parent) if folder.name == CONFIGS else None
     if project is not None:
         join(project)
@@ -281,18 +281,18 @@ def forget(root: Path) -> None:
 
 
 def joined_packages() -> tuple[str, ...]:
-    """Return the packages of the user projects whose packages configs can call."""
+    """Return the names of the packages that ``join`` has allowed configs to call."""
     return tuple(_joined)
 
 
 def project_of(package: str) -> Project | None:
-    """Return the user project in use that declares a package with the same top-level package."""
+    """Return the user project, added by ``join``, that declares a package with the top-level name of ``package``."""
     top = package.split(".")[0]
     return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
 
 
 def make_importable(target: str) -> None:
-    """Make the package of a target importable if a user project in use declares the package."""
+    """If ``join`` has allowed configs to call the package of the path ``target``, make the package importable."""
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
         return

@@ -19,7 +19,7 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 # The deepest allowed nesting of YAML; deeper nesting would crash the C parser before Python's recursion limit.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
-# The largest unpacked size of an archive, as a factor of the packed size, and additional bytes.
+# An archive must unpack to at most _TIMES times its packed size plus _PACKED_ROOM bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
 _MOST_BITS = 1023  # The number of bits of the largest integer that a float can represent.
 _OPENING = (b"[", b"{", b"-", b":", b"?")  # The characters that can start a nested value in YAML.
@@ -40,13 +40,13 @@ def json_value(data: bytes | str) -> Any:
     except json.JSONDecodeError as error:
         raise Unreadable(error.msg, error.lineno) from error
     except UnicodeDecodeError as error:
-        raise Unreadable("the data is not UTF-8 text") from error
+        raise Unreadable("the JSON data is not UTF-8 text") from error
     except RecursionError as error:
-        raise Unreadable("the text is nested too deeply") from error
+        raise Unreadable("the JSON text is nested too deeply") from error
     except Unreadable:
         raise
     except (ValueError, MemoryError) as error:
-        raise Unreadable(str(error) or "the text is too large") from error
+        raise Unreadable(str(error) or "the JSON text is too large") from error
 
 
 def yaml_value(data: bytes | str) -> Any:
@@ -65,7 +65,7 @@ def require_bounded(archive: ZipFile) -> None:
     if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
         raise Unreadable("the archive's unpacked size is too large for its file size")
     if len({part.header_offset for part in parts}) < len(parts):
-        raise Unreadable("two files in the archive overlap")
+        raise Unreadable("the archive contains two files that overlap")
 
 
 class _PlainLoader(_LOADER):
@@ -73,7 +73,7 @@ class _PlainLoader(_LOADER):
         seen: set[Any] = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise Unreadable(f"the key '{key.value}' is repeated", key.start_mark.line + 1)
+                raise Unreadable(f"the YAML key '{key.value}' is repeated", key.start_mark.line + 1)
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
         return super().construct_mapping(node, deep=deep)
 
@@ -97,7 +97,7 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
                     anchor, before = above.pop()
                     sizes[anchor] = total - before + 1
                 if len(above) > _DEEPEST:
-                    raise Unreadable("the text is nested too deeply", line)
+                    raise Unreadable("the YAML text is nested too deeply", line)
                 if total > _MOST_NODES and sizes:
                     raise Unreadable("the anchors of the YAML text expand to too many nodes", line)
         return read()
@@ -112,16 +112,16 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
 
 
 def _bounded(value: Any) -> Any:
-    """Return a value; raise Unreadable if the value is nested too deeply or has an integer beyond float's range."""
+    """Return ``value``; raise Unreadable if ``value`` is nested too deeply or has an integer beyond float's range."""
     waiting = [(value, 0)]
     while waiting:
         node, depth = waiting.pop()
         if isinstance(node, (dict, list)):
             if depth >= _DEEPEST:
-                raise Unreadable("the text is nested too deeply")
+                raise Unreadable("the JSON or YAML text is nested too deeply")
             waiting += [(item, depth + 1) for item in (node.values() if isinstance(node, dict) else node)]
         elif isinstance(node, int) and node.bit_length() > _MOST_BITS:
-            raise Unreadable(f"the text contains an integer of {node.bit_length()} bits, which is too large")
+            raise Unreadable(f"the JSON or YAML text contains a too large integer of {node.bit_length()} bits")
     return value
 
 
@@ -130,7 +130,7 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         repeated = next(name for index, name in enumerate(names) if name in names[:index])
-        raise Unreadable(f"the key '{repeated}' is repeated")
+        raise Unreadable(f"the JSON key '{repeated}' is repeated")
     return found
 
 
@@ -165,8 +165,8 @@ def dump_yaml(value: Any) -> str:
     """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
 
     ``value`` can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
-    value raises RunDirectoryError. Numpy scalars, enumerations, and instances of other subclasses raise
-    RunDirectoryError, because YAML would not preserve their type.
+    value raises RunDirectoryError. Numpy scalars, enumerations, and instances of subclasses of ``dict``, ``list``,
+    ``str``, ``int``, or ``float`` raise RunDirectoryError, because YAML would not preserve the subclass.
     """
     require_plain(value)
     return yaml.dump(
@@ -175,7 +175,7 @@ def dump_yaml(value: Any) -> str:
 
 
 def require_plain(value: Any, path: str = "") -> None:
-    """Raise RunDirectoryError with the key of the wrong part unless ``dump_yaml`` accepts ``value``."""
+    """Raise RunDirectoryError if ``dump_yaml`` rejects a part of ``value``; the error contains the key of this part."""
     if type(value) is dict:
         for key, item in value.items():
             if type(key) not in (str, int):

@@ -219,7 +219,7 @@ def test_a_play_is_compared_with_another_run_s_folder(inspect, run, tmp_path):
         (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: the option has no effect on the chosen actions"),
         (["r.rrd", "--summary", "--term", "base.pitch"], "--stats or --where or --plot or --export"),
         (["r.rrd", "--iteration", "5-2"], "ends before its start"),
-        (["r.rrd", "--from", "3s", "--to", "2s"], "the selected time ends before --from"),
+        (["r.rrd", "--from", "3s", "--to", "2s"], "the selected time --to is before --from"),
         ([], "RUN|FILE"),
     ],
 )  # fmt: skip

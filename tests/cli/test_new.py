@@ -151,7 +151,7 @@ def test_an_existing_place_is_not_overwritten(kind, tmp_path):
     [
         (["my-robot"], "did you mean 'my_robot'?"),
         (["test"], "did you mean 'test_robot'?"),
-        (["nowhere/myrobot"], "there is no such parent folder"),
+        (["nowhere/myrobot"], "the parent folder of the new project does not exist"),
         (["myrobot", "--robot", "two.urd"], "did you mean 'two.urdf'?"),
         (["myrobot", "--robot", "bare.urdf"], "no joints"),
         (["myrobot", "--robot", "broken.urdf"], "broken.urdf"),

@@ -304,7 +304,7 @@ def test_the_folders_of_a_pipeline_are_named_and_may_be_given(archive):
     wrong = ["env.num_envs=0"]  # The command stops after it has checked the config.
     folder = archive.plant_pipeline(config_dirs=archive.configs[:1], overrides=wrong, phase={"task": "evil"})
     said = give(archive, "resume", folder, status=(2,))
-    assert f"the pipeline needs the folder {archive.configs[0]}, which is not one of your trusted folders" in said.err
+    assert f"needs the config folder {archive.configs[0]}, which is not one of your trusted folders" in said.err
     assert "--config-dir with the place where that folder is now, if it is yours" in said.err
     wheelleg("resume", folder, "--config-dir", archive.configs[0])
     assert archive.marker.exists()

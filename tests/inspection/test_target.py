@@ -60,7 +60,7 @@ def test_a_run_that_was_not_recorded_says_so_and_names_its_plays(run):
         find_target("latest", "runs")
     for path in run.play.glob("*/recording.rrd"):
         path.unlink()
-    with pytest.raises(RunDirectoryError, match=r"has no recording of a play.*wheelleg play"):
+    with pytest.raises(RunDirectoryError, match=r"has no recording by 'wheelleg play'.*wheelleg play"):
         find_target("latest", "runs", play=True)
 
 

@@ -239,7 +239,7 @@ SNAPSHOT = (".hydra/config.yaml", "params/env.yaml", "source/source.patch", "ass
 REFUSED = [(_change(name), f"{name} is not what the manifest recorded", ()) for name in SNAPSHOT]
 REFUSED += [(lambda run: None, "from 1 to the 3 that the run has", ("--iterations", number)) for number in ("0", "4")]
 REFUSED += [
-    (lambda run: (run / "source/source_2.patch").touch(), "the manifest lacks the file source/source_2.patch", ()),
+    (lambda run: (run / "source/source_2.patch").touch(), "manifest lacks the file source/source_2.patch", ()),
     (lambda run: (run / "params/agent.yaml").unlink(), "params/agent.yaml is missing", ()),
     (lambda run: change_manifest(run, status="running", process=this_process()), "is still running", ()),
 ]

@@ -101,7 +101,7 @@ def test_a_module_comes_from_its_restored_folder_alone(places, tmp_path):
     assert places.find_spec("wheelleg_exp").origin == str(folder / "__init__.py")
     assert places.find_spec("wheelleg_exp.there", [str(folder)]).origin == str(folder / "there.py")
     assert places.find_spec("numpy") is None
-    with pytest.raises(ModuleNotFoundError, match=r"restored source holds no module wheelleg_exp\.cli"):
+    with pytest.raises(ModuleNotFoundError, match=r"code of the run lacks the module wheelleg_exp\.cli"):
         places.find_spec("wheelleg_exp.cli", [str(folder)])
 
 

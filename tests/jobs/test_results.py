@@ -133,7 +133,7 @@ def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(wr
     page.write_text(page.read_text().replace("| survival |", "| Survival |"))
     status, told = again(written, capsys)
     assert status == 2
-    assert "small.md: the page does not agree with the result record" in told
+    assert "small.md: the result's page and the result's JSON file differ" in told
     assert "wheelleg train" not in told
 
 

@@ -223,7 +223,7 @@ def _close_the_folder(path):
     ("damage", "message"),
     [
         (shutil.rmtree, "was removed while it was written"),
-        (lambda path: (path / "manifest.json").write_text("[" * 100_000), "broken JSON: the text is nested too deeply"),
+        (lambda path: (path / "manifest.json").write_text("[" * 100_000), "the JSON text is nested too deeply"),
         (_close_the_folder, "cannot write"),
     ],
 )

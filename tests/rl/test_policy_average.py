@@ -83,7 +83,7 @@ def test_the_mean_of_another_network_does_not_fit(make_trainer, averaged, change
     state = {**averaged[0], "averaged_state_dict": dict(averaged[0]["averaged_state_dict"])}
     state["unsaved"] = dict(state["unsaved"])
     change(state)
-    with pytest.raises(RunDirectoryError, match="the saved state does not fit: the averaged weights"):
+    with pytest.raises(RunDirectoryError, match="a checkpoint does not fit the run: the averaged weights"):
         make_trainer(OVER).load_state_dict(state)
 
 

@@ -1,6 +1,6 @@
 """The parts of a robot, such as wheels and legs, in SI units, and the body tree of the robot's compiled model.
 
-Vectors of wheels, legs, and other parts are in the frame of the base body; vectors of ``Tree`` are in the world frame.
+The vectors of robot parts are in the frame of the root body. The vectors of the class ``Tree`` are in the world frame.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Wheel:
     driven: bool  # whether a motor drives the wheel; false for a caster
     stands: bool  # whether the wheel is as low as the lowest wheel and carries the robot on level ground
     steered: bool  # whether an unlimited vertical hinge steers the wheel, as in a swerve drive
-    # whether the wheel is a caster behind a passive steering axis; false if all wheels are
+    # whether a wheel is a caster behind a passive steering axis; false if all of the robot's wheels are casters
     caster: bool
     why: str  # the reason, with numbers, why the link counts as a wheel
 
@@ -91,7 +91,7 @@ class Anatomy:
     support_height: float | None
     support_width: float  # the distance between the outermost wheel contacts, across ``forward``, m
     support_length: float  # the distance between the outermost wheel contacts along ``forward``, m; about 0 on one axle
-    near: dict[str, str]  # joints that lack one property of a wheel's joint, with the name of this property
+    near: dict[str, str]  # joints that lack only one property of a wheel's joint, with the missing property
 
     @property
     def wheel_joints(self) -> list[str]:

@@ -61,7 +61,7 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent handles the hull of a mesh.
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent computes the extents of meshes.
 }
 
 
@@ -70,7 +70,7 @@ class Overlap:
     """Two bodies, the parent first, whose colliders overlap; a motion by ``depth``, m, would separate them.
 
     ``neighbours`` states whether a joint connects the two overlapping bodies. ``acts`` states whether the MuJoCo model
-    enables contacts between the two bodies.
+    enables contacts between the two overlapping bodies.
     """
 
     bodies: tuple[str, str]
@@ -82,7 +82,7 @@ class Overlap:
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
     """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, starting with the deepest overlap.
 
-    The result omits pairs of bodies that are welded together or that an MJCF exclude keeps from contact.
+    ``find_overlaps`` omits pairs of bodies that are welded together or that the MJCF excludes from contact.
     """
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
@@ -90,7 +90,7 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # MuJoCo filters contacts by the bodies' collision bits too, so these must match the changed bits of the geoms.
+    # MuJoCo also filters contacts by the collision bits of bodies, which must match the collision bits of geoms.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     pairs = sorted(_depths(free, qpos, bodies).items(), key=lambda item: -item[1])

@@ -23,7 +23,7 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # A default position outside the limits is moved this far inside, as a share of the joint's range.
+_INSIDE = 0.25  # A default position outside the limits is moved inside by a quarter of the joint's range.
 _OFF = 0.02  # The smallest distance of a default position from the joint's limits, as a share of the joint's range.
 
 
@@ -45,7 +45,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint at the robot's default pose, in rad and rad/s; ``low`` and ``high`` are infinite without limits."""
+    """The state, limits, and inertias of one joint; ``low`` and ``high`` are infinite for a joint without limits."""
 
     default: float
     default_velocity: float
@@ -67,9 +67,10 @@ class Joint:
 class Balance:
     """The inverted pendulum that is equivalent to a robot on one axle.
 
-    The pendulum's mass, kg, and its inertia about the axle, kg·m², exclude the wheels. ``height`` is the height of the
-    pendulum's centre of mass over the axle, m. The robot falls at the rate ``pole``, rad/s, if it rolls on wheels that
-    are locked to the body, and at the rate ``pendulum``, sqrt(m g h / I), if the axle is fixed.
+    ``mass``, kg, and ``inertia`` about the axle, kg·m², are those of the robot without its wheels. ``height``, m, is
+    the distance from the axle to the centre of mass of the robot without its wheels. A tilt of the robot grows at the
+    exponential rate ``pole``, rad/s, if the wheels roll and are locked to the body. A tilt about a fixed axle grows at
+    the exponential rate ``pendulum``, rad/s, which is sqrt(m g h / I).
     """
 
     mass: float
@@ -86,12 +87,12 @@ class RobotFacts:
     mass: float
     gravity: float
     joints: dict[str, Joint]
-    wheels: tuple[str, ...]  # the names of the wheels' joints; ``wheel_radius``, m, is 0 without wheels
+    wheels: tuple[str, ...]  # the names of the wheel joints; ``wheel_radius``, m, is 0 for a robot without wheels
     wheel_radius: float
     track: float  # the distance between the leftmost and the rightmost wheel, m
     # the height of the root link over the ground if the robot touches the ground in its default pose, m
     standing_height: float
-    clearance: float  # the height of the robot's lowest point at the start over the ground, m; negative inside
+    clearance: float  # the height of the robot's lowest point in the start pose, m; negative below the ground
     friction: float  # the effective friction coefficient between wheels and ground
     balance: Balance | None  # the equivalent pendulum; None for a robot that does not balance on one axle
 
@@ -159,7 +160,7 @@ def _joints(
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     inverse = np.linalg.inv(matrix)
-    # Return the joint torques (nv,) that hold the default pose while each wheel carries the same share of the weight.
+    # The joint torques ``hold`` (nv,) hold the default pose while each wheel carries an equal share of the weight.
     hold = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
     # The ground pushes each wheel up at its lowest point; the z row of that point's Jacobian gives the joint torques.
@@ -250,8 +251,8 @@ class CompiledRobot:
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
     """Return a copy of a MuJoCo model with the limits that the robot's URDF states for continuous joints.
 
-    Limits of continuous joints have no effect in the MuJoCo model that was given. The last joint of a chain gets none:
-    it can be a wheel.
+    In the given MuJoCo model, limits of continuous joints have no effect. The last joint of a kinematic chain gets no
+    limits, because this joint can be the joint of a wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -266,8 +267,8 @@ def compiled_robot(
 ) -> tuple[CompiledRobot, RobotFacts]:
     """Return the robot of a compiled scene, and the facts that are measured on this robot.
 
-    ``driven`` contains the joints with a drive in the robot file, for a robot without actuators. If ``driven`` is None,
-    the robot file has no drives.
+    ``driven`` contains the joints that have a drive in the robot file, or is None if no joint has a drive. If the
+    robot's config has actuators, ``compiled_robot`` ignores ``driven``.
     """
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None
@@ -314,7 +315,7 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
     """Return a text that names colliders and wheels whose mesh files are missing or damaged.
 
-    The returned text is empty if all these files could be read.
+    ``missing_colliders`` returns an empty text if no file that contains colliders is missing or damaged.
     """
     files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]

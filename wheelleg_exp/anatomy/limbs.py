@@ -12,18 +12,16 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # The joint of a wheel counts as unlimited if its range, rad, is above this value.
-LEVEL = 0.5  # An axle is horizontal if the vertical component of its direction is below this value.
+TURNS = 3 * math.pi  # The range, rad, above which the hinge of a wheel counts as unlimited.
+LEVEL = 0.5  # The largest vertical component of the unit vector along a horizontal axle.
 _ROUND = 0.9  # The smallest ratio of a wheel's smallest radius to its largest radius, as in a regular heptagon.
-_ROUGH = 0.6  # A body with the mass distribution of a wheel counts as a wheel down to this roundness, that of a square.
-_LOW = 0.4  # The lowest point of a wheel is below this share of the robot's height.
-_OFF_AXIS = (
-    0.05  # The largest distance of a wheel's shape from the wheel's hinge axis, as a share of the wheel's radius.
-)
+_ROUGH = 0.6  # The smallest ratio of a body's smallest to largest radius, if its masses are distributed as in a wheel.
+_LOW = 0.4  # The largest height of a wheel's lowest point, as a share of the robot's height.
+_OFF_AXIS = 0.05  # The largest distance of a wheel's round outline from its hinge, as a share of the wheel's radius.
 _SMALLEST = 1e-3  # m, radius
-_EQUAL = 0.1  # Two moments of inertia with a smaller relative difference count as equal.
+_EQUAL = 0.1  # The largest relative difference between two moments of inertia that count as equal.
 _CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the wheel's radius.
-_HALF_TURN = math.pi  # A round part whose hinge has a range above this value, rad, is reported as almost a wheel.
+_HALF_TURN = math.pi  # The smallest hinge range, rad, of a round part that is reported as a possible wheel.
 _AROUND = 48
 
 
@@ -33,8 +31,8 @@ class Found:
 
     The hinge ``joint`` moves ``bodies``. ``centre`` is the centre of the wheel's colliders, on the hinge's axis.
     ``radius`` is the largest extent of the wheel's colliders across the hinge's axis. ``roundness`` is the smallest
-    extent of the wheel's colliders across this axis, divided by ``radius``. ``off_axis`` is the distance between the
-    hinge's axis and the axis of the round colliders; 0 if they are not round.
+    extent of the wheel's colliders across the hinge's axis, divided by ``radius``. ``off_axis`` is the distance from
+    the hinge's axis to the axis of the colliders' outline, or 0 if this outline is not round.
     """
 
     joint: int
@@ -55,7 +53,7 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
     highest = -down + _LOW * (top + down)  # the largest allowed height of a wheel's lowest point, m
     for joint in tree.joints:
-        # Return whether a joint is a horizontal hinge, the only joint of its body, and the last joint of its limb.
+        # A wheel's joint is a horizontal hinge, the only joint of its body, and the last joint of its limb.
         body = int(tree.model.jnt_bodyid[joint])
         last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
         if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
@@ -92,7 +90,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-    # Measure the extent of a wheel's shape along the wheel's axis and in all directions across this axis.
+    # Measure the extent of a wheel's shape along the hinge's axis and in all directions perpendicular to the axis.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
@@ -110,7 +108,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
 
 
 def _where_its_shape_is(shape: Found) -> str:
-    """Return why a link is no wheel by its colliders, although its mass distribution is that of a wheel."""
+    """Return why a link's colliders are not those of a wheel, although the link has a wheel's mass distribution."""
     if shape.off_axis > _OFF_AXIS * shape.radius:
         return f"its colliders are round about a line {1e3 * shape.off_axis:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
@@ -134,14 +132,14 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The matrix rows are two unit vectors across the wheel's axis.
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows of ``cross`` are unit vectors perpendicular to the axle.
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints that the model's actuators drive; without actuators, all joints except followers."""
+    """Return the joints that the model's actuators drive; without actuators, all joints except mimic joints."""
     followers = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)].tolist())
     through = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     moved = {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if int(model.actuator_trntype[i]) in through}
@@ -168,7 +166,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     closures = found
-    # the set of bodies connected with each body that is not fixed to the base; the sets exclude the base
+    # ``limbs`` maps each body that is not fixed to the base to the set of all bodies of the same limb.
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -190,7 +188,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
 
 _APART = 0.15  # The largest distance of a joint from the mirror image of its partner, as a share of the robot's size.
 _TILTED = math.radians(30)
-_MIDDLE = 0.01  # A joint nearer to the mirror plane than this share of the robot's size is its own mirror image.
+_MIDDLE = 0.01  # The largest distance of a left joint to the right of the mirror plane, as a share of the robot's size.
 
 
 def find_mirrored(
@@ -212,7 +210,8 @@ def find_mirrored(
         for other in joints:
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
-                # the angle, rad, between a joint's mirrored axis and a second joint's axis, and the sign of the motion
+                # ``tilt`` is the angle, rad, between the mirrored axis of one joint and the axis of a second joint.
+                # ``sign`` is -1 if the mirror image of a positive rotation is a negative rotation of the second joint.
                 # A mirror matrix M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
@@ -222,7 +221,7 @@ def find_mirrored(
         if options:
             _, other, offset, tilt, sign = min(options)
             images[joint] = other, offset, tilt, sign
-    # Accept a pair only if each joint is the other's best mirror image, so that no joint belongs to two pairs.
+    # Accept a pair of joints only if each joint is the best match of the other, so that no joint has two partners.
     pairs, matched = [], set()
     for joint, (other, offset, tilt, sign) in images.items():
         if joint in matched or images.get(other, (None,))[0] != joint:

@@ -14,12 +14,12 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Sid
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
-_PARALLEL = 0.9  # A robot has a forward direction if at least this share of its axles is parallel.
-# A wheel rolls forwards if the cosine between its rolling direction and the robot's forward axis exceeds this value.
+_PARALLEL = 0.9  # The smallest share of parallel axles for which a robot has a forward direction.
+# A wheel with a smaller cosine between its rolling direction and the robot's forward axis has the sign 0.
 _ROLLS = 0.5
-_IN_THE_MIDDLE = 0.05  # A wheel nearer to the robot's middle than this share of the track width is a middle wheel.
-_LEVEL_WITH = 0.03  # A wheel at most this share of the robot's size above the lowest wheel stands on level ground.
-_AHEAD = 0.3  # A direction's first component with at least this absolute value decides the direction's sign.
+_IN_THE_MIDDLE = 0.05  # The largest distance of a middle wheel from the robot's middle, as a share of the track width.
+_LEVEL_WITH = 0.03  # The largest height of a supporting wheel above the lowest wheel, as a share of the robot's size.
+_AHEAD = 0.3  # The first component of the forward direction whose absolute value reaches _AHEAD is positive.
 _TRAILS = 0.1  # The smallest distance of a caster's contact from its steering axis, as a share of the wheel radius.
 
 
@@ -31,8 +31,8 @@ def anatomy_of(
     A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
     horizontal, and is the last joint of the kinematic chain. A wheel's colliders are near the ground and round about
     the hinge's axis (or nearly round, if the mass distribution is that of a wheel). ``driven`` are the joints with a
-    motor: by default those with actuators in the model, or all joints if the model has none. If the robot has no
-    actuators and ``driven`` is None, only geometry decides which wheels are casters.
+    motor: by default the joints with actuators in the model, or all joints if the model has no actuators. If the robot
+    has no actuators and ``driven`` is None, only geometry decides which wheels are casters.
     """
     data = mujoco.MjData(model)
     if qpos is not None:
@@ -84,7 +84,7 @@ class _Axles:
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    # A caster is a wheel behind a passive steering hinge. If all wheels are behind one, no wheel counts as a caster.
+    # A wheel behind a passive steering hinge counts as a caster, unless all wheels are behind passive steering hinges.
     trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
     casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
@@ -149,11 +149,11 @@ def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
-    """Return the horizontal rolling direction of a robot, towards the base's x axis; None without parallel axles."""
+    """Return the horizontal direction in which a robot's parallel axles roll; None if the axles are not parallel."""
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
-    # The first eigenvector of the sum of the axles' outer products is the common axis for any signs of the axles.
+    # The main eigenvector of the sum of the axles' outer products is the common axis for any signs of the axles.
     sizes, directions = np.linalg.eigh(sum(np.outer(axis, axis) for axis in level) / len(level))
     if sizes[-1] < _PARALLEL * sizes.sum():
         return None
@@ -190,7 +190,7 @@ def _mirrored(
     Return a point of the mirror plane in world coordinates, m, (3,), the mirrored pairs, and the unmatched joints.
     """
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
-    # The base's origin is often off the robot's middle plane, so the middle between the wheels is a second candidate.
+    # The mirror plane contains the base's origin or the middle between the wheels, whichever matches more joints.
     middles = [origin]
     if wheels:
         places = [float(wheel.centre @ normal) for wheel in wheels]

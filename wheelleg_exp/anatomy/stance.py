@@ -18,15 +18,15 @@ from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limi
 
 Array = NDArray[np.float64]
 
-_STARTS = 10  # The search for a standing pose starts from this many random poses and from the given pose.
+_STARTS = 10  # The number of random poses from which the search for a standing pose starts, besides the given pose.
 _STEPS = 40  # iterations from each start
 _MARGIN = 0.08  # The smallest distance of a joint from its limits in a standing pose, as a share of the joint's range.
-# A standing pose above or below these shares of the largest height gets a height of _STANDS instead.
+# The hip heights above which legs are stretched and below which legs are crouched, as shares of the largest height.
 _STRETCHED, _CROUCHED = 0.93, 0.35
-# Standing heights to try instead of those of stretched and crouched legs, as shares of the largest height.
+# The hip heights that replace those of stretched and of crouched legs, as shares of the largest hip height.
 _STANDS = (0.8, 0.55)
-_CLEARANCE = 0.5  # All links except wheels must be this share of the wheel radius above the ground.
-_REACH = math.pi  # The search covers this range of an unlimited joint in both directions, rad.
+_CLEARANCE = 0.5  # The smallest height of all links except wheels above the ground, as a share of the wheel radius.
+_REACH = math.pi  # The largest rotation, rad, of an unlimited joint in the search for a standing pose.
 _BALANCED = 5e-3  # The largest distance of a balanced centre of mass from the axle, as a share of the robot's size.
 _TOUCHES = 2e-3  # The largest height of a touching wheel above the lowest wheel, as a share of the robot's size.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -39,10 +39,10 @@ class Stance:
     positions: dict[str, float]  # the positions of the leg joints by name, rad (m)
     height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest such height
     offset: float  # the distance of the centre of mass in front of the middle of the wheel contacts, m
-    # the pitch of the base that would make ``offset`` zero, rad, positive if the front is lower; 0 on several axles
+    # the base pitch, rad (positive: front down), that would balance the robot; 0 for a robot with several axles
     lean: float
     tallest: float
-    balanced: bool  # whether the robot balances, so that ``offset`` is almost zero
+    balanced: bool  # whether the centre of mass is almost over the middle of the wheel contacts
     grounded: bool  # whether every wheel that should carry weight touches level ground
 
 
@@ -109,7 +109,7 @@ class _Problem:
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
-        self.rest = overlap_depths(model, self.data, self.bodies)  # the allowed depths of overlaps
+        self.rest = overlap_depths(model, self.data, self.bodies)  # Two bodies can overlap as in the initial pose.
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -136,7 +136,7 @@ class _Problem:
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
-        """Choose the height of the preferred pose, or a default height if its legs are stretched or fully folded."""
+        """Choose the hip height of the preferred pose, or a default height for stretched or fully folded legs."""
         self.at(self.preferred)
         now = self._height()
         heights = []
@@ -151,14 +151,14 @@ class _Problem:
         self.wanted = factor * self.tallest
 
     def random_poses(self, count: int) -> list[Array]:
-        """Return random leg poses within the joint limits that are mirror-symmetric."""
+        """Return random mirror-symmetric leg poses within the joint limits."""
         poses = np.random.default_rng(0).uniform(self.low, self.high, (count, len(self.joints)))
         for left, right, sign in self.pairs:
             poses[:, right] = np.clip(sign * poses[:, left], self.low[right], self.high[right])
         return list(poses)
 
     def overlap(self) -> float:
-        """Return by how much the overlap of two bodies exceeds their overlap in the preferred pose, m, at most."""
+        """Return the largest increase of the overlap depth of two bodies relative to the initial pose, m."""
         depths = overlap_depths(self.model, self.data, self.bodies)
         return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
@@ -168,7 +168,7 @@ class _Problem:
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
     def residual(self, positions: Array) -> Array:
-        """Return the weighted errors of a leg pose, which are dimensionless."""
+        """Return the weighted, dimensionless residuals of a leg pose for the least-squares problem."""
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
@@ -177,8 +177,8 @@ class _Problem:
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
-        # The weights make closed loops and ground contact most important, then balance, then a natural pose.
-        # On several axles, balance has a smaller weight than on one, because the axles can carry a mass between them.
+        # The residual weights are largest for closed loops and ground contact, and smallest for a natural pose.
+        # The residual of balance has a smaller weight on several axles, because several axles support the robot.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
         # The distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
@@ -205,7 +205,7 @@ class _Problem:
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
-        """Return the leg pose with the smallest cost near a start pose."""
+        """Return the leg pose that minimises the sum of squared residuals, searched from a start pose."""
 
         def columns(poses: Array) -> Array:
             return np.stack([self.residual(pose) for pose in poses.T], axis=1)
@@ -216,7 +216,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return a leg pose made exactly symmetric, or the unchanged pose if symmetry costs too much."""
+        """Return a leg pose made exactly symmetric, or the given pose if symmetry raises the residuals too much."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2
@@ -237,7 +237,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class Weight:
-    """The centre of mass without the wheels, in the world and as distances from the middle of the axle, m."""
+    """The robot's centre of mass without the wheels, in the world and relative to the middle of the axle, m."""
 
     ahead: float
     above: float

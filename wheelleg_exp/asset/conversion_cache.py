@@ -34,8 +34,8 @@ from wheelleg_exp.terms.config_values import require_fit
 def find_extra_files(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot file.
 
-    An ``env`` section can name actuator networks and a terrain file. The function returns each file by the path of its
-    copy in the MJCF's folder. ``roots`` are user-defined asset folders.
+    An ``env`` section can name actuator networks and a terrain file. Each key of the returned dict is the path of a
+    file's copy in the MJCF's folder, and the value is the original file. ``roots`` are user-defined asset folders.
     """
     groups = env["robot"].get("actuators")
     named = [
@@ -136,11 +136,9 @@ def convert_cached(
                 shutil.copyfile(path, target)
             (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
             _publish(draft, entry, folder)
-        report = report
     except OSError as error:
         message = f"cannot write the cache '{entry.parent}': {error.strerror or error}"
         raise WheellegError(message, key=CACHE_KEY, expected="a writable folder") from None
-        report = None
     return CachedConversion(entry / MODEL, report, sources, key, fresh=True)
 
 
@@ -173,7 +171,7 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
     """Rename a converted robot's folder to the path of its cache entry, unless another process has made the entry."""
     for attempt in range(_ATTEMPTS):
         try:
-            # Renaming the draft folder is atomic, and fails if another process has already made the cache entry.
+            # Renaming a folder is atomic, and fails if another process has already created a folder with the new name.
             draft.rename(entry)
             return
         except OSError:

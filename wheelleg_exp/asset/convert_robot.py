@@ -62,7 +62,7 @@ def convert(
         robot, report = read(source, base, variants or {})
         for name in report.layers:
             if (source.resolve().parent / name).resolve().is_relative_to(mesh_folder(output).resolve()):
-                raise AssetError(f"'{name}' would be replaced by the meshes", key="-o", expected="another name")
+                raise AssetError(f"new mesh files would replace the input '{name}'", key="-o", expected="another name")
         robot = with_force_gains(robot)
         model = write(robot, report, output)
         sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(robot, model)]
@@ -131,7 +131,7 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
     if suffix in URDF:
         if variants:
             choice = "=".join(next(iter(variants.items())))
-            raise AssetError("a URDF has no variants", key=f"--variant {choice}", where=where)
+            raise AssetError("a URDF file has no variants", key=f"--variant {choice}", where=where)
         return True
     if suffix == ".xacro":
         message = f"'{source.name}' contains xacro macros, which this converter does not expand"
@@ -194,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # The meshes are moved before the MJCF, so if the draft MJCF exists, the old MJCF needs its old meshes.
+        # If the new MJCF could not be moved, the old MJCF is still in place and needs its own mesh files again.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

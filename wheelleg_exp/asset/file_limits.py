@@ -60,8 +60,8 @@ def require_plain_file(
 ) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    In the error message, ``expected`` describes a valid file, ``key`` is the prim or XML element that names the path,
-    and ``where`` is the file that contains ``key``.
+    ``expected`` describes a valid file in the error message. ``key`` is the USD prim or XML element that refers to
+    ``path``. ``where`` is the file that contains the USD prim or XML element ``key``.
     """
     problem = _problem_of(path, largest)
     if problem:

@@ -27,7 +27,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
         return
-    # The group of welded bodies at the end of each limb; the body with the joint comes first in the group.
+    # A group contains bodies that are welded together; the first body of a group has the joint that moves the group.
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -87,7 +87,8 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
 def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
     """Return the conversion report of a robot that was read from a USD or URDF file.
 
-    ``origin`` gives the report's fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers``.
+    ``origin`` sets the fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers`` of the
+    conversion report.
     """
     note_colliders(robot, ledger)
     names: dict[str, str] = {}
@@ -98,7 +99,7 @@ def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
         for item in ledger.findings
     )
     mapped, assumed, left, warnings = ledger.entries()
-    # How the root bodies connect to the world: floating, fixed, or attached by a joint.
+    # A root body is floating, fixed to the world, or attached to the world by a joint.
     roots = list(robot.children(None))
     kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return Report(

@@ -1,7 +1,7 @@
-"""Rotations, rigid frames, and rounding; volume, centre, and inertia of solid shapes, and of compound bodies.
+"""Compute rotations, rigid frames, rounded numbers, and the volume, centre, and inertia of solids and compound bodies.
 
 Arrays hold column vectors. Primitive shapes have closed forms. MuJoCo's compiler computes the volume and inertia of a
-mesh or of its convex hull. Formulas: any table of moments of inertia; a capsule is a cylinder and two half spheres.
+mesh or of its convex hull. The moments of a capsule are the sums for a cylinder and two half spheres.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 def single(value: float) -> float:
     """Return the shortest decimal that is equal to ``value`` in single precision.
 
-    USD stores most physical quantities in single precision. 0.0425 read back as 0.04249999970197678 becomes 0.0425
-    again. Rounding changes a number by less than the precision of the USD file.
+    USD stores most physical quantities in single precision. For example, USD returns 0.0425 as 0.04249999970197678,
+    which becomes 0.0425. Rounding changes a number by less than the precision of the USD file.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
@@ -37,8 +37,8 @@ def rounded(value: float, scale: float | None = None) -> float:
     """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
 
     For example, a limit of -28.64789 degrees is -0.5000000058 rad and becomes -0.5 rad. USD stores most physical
-    quantities in single precision, so the rounding error is that of single precision. The rounding error is a share of
-    ``scale``, such as a vector's length; by default, ``scale`` is ``value``.
+    quantities in single precision, so the rounding error is that of single precision. The allowed rounding error is
+    proportional to ``scale``, such as a vector's length; the default of ``scale`` is the size of ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -123,18 +123,18 @@ class Frame:
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
     def pose(self) -> Pose:
-        """Return the frame as a pose with numbers rounded to single precision."""
+        """Convert the rigid transform to a ``Pose``, with numbers rounded to single precision."""
         w, x, y, z = (rounded(v, 1.0) for v in quaternion(self.rotation))
         return Pose(vec3(self.translation), (w, x, y, z))
 
     def matrix(self) -> Array:
-        """Return the frame as a 4x4 matrix."""
+        """Return the rigid transform as a 4x4 matrix."""
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = self.rotation, self.translation
         return out
 
     def distance(self, other: Frame) -> tuple[float, float]:
-        """Return the distance between two frames: m and rad."""
+        """Return the distance (m) and the angle (rad) between two rigid frames."""
         chord = float(np.linalg.norm(self.rotation - other.rotation)) / math.sqrt(8)
         return float(np.linalg.norm(self.translation - other.translation)), 2 * math.asin(min(1.0, chord))
 
@@ -142,7 +142,7 @@ class Frame:
 def split_scale(linear: Array) -> tuple[Array, Array]:
     """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
 
-    If the 3x3 map mirrors, the determinant of the rotation is 1, and the determinant of the stretch is negative.
+    If ``linear`` mirrors, ``rotation`` still has the determinant 1, and ``stretch`` has a negative determinant.
     """
     # With linear = u diag(values) vt, the rotation is u vt and the stretch is vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
@@ -197,7 +197,7 @@ class Part:
 
     @staticmethod
     def of(solid: Solid, mass: float) -> Part:
-        """Return the part of a body that is a solid of uniform density with the total ``mass`` (kg)."""
+        """Return a body part: a solid of uniform density whose mass is ``mass`` (kg)."""
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
@@ -230,7 +230,7 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
     """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
 
     Each step of Jacobi's method rotates the tensor by at most 45° to make its largest off-diagonal element zero. PhysX
-    uses Jacobi's method, so this function returns the moments in PhysX's order.
+    also uses Jacobi's method, so the principal moments are in the same order as in PhysX.
     """
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
@@ -314,7 +314,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     """Return the solid of a mesh with points in m, from MuJoCo's compiler; ValueError if the mesh has no volume.
 
     ``faces`` (k, 3) contains the indices of each triangle's points; None means the triangles of the convex hull.
-    ``volume`` is a mesh inertia mode of MuJoCo; with ``shell``, the volume of the solid is an area in m².
+    ``volume`` is a mesh inertia mode of MuJoCo. In the mode ``shell``, ``Solid.volume`` is the mesh's area in m².
     """
     import mujoco
 

@@ -298,7 +298,7 @@ class RobotDescription:
 
 RESERVED = frozenset({"world"})  # MuJoCo's root body
 DEEPEST = 8  # parts of a path
-LONGEST_FILE = 100  # the largest length of a file name in characters; file systems allow 255 bytes
+LONGEST_FILE = 100  # A file name has at most 100 characters, because file systems allow 255 bytes.
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
@@ -309,7 +309,7 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # Each round adds the name of one parent to each name that is not yet unique, so unique names stay short.
+    # Each pass of the loop prepends one more parent's name to each repeated name, so unique names stay short.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]

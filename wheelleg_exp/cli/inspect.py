@@ -1,6 +1,6 @@
 """``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
-Without an action such as ``--play``, ``wheelleg inspect`` prints a summary of the recording. ``wheelleg inspect`` runs
+Without an action such as ``--plot``, ``wheelleg inspect`` prints a summary of the recording. ``wheelleg inspect`` runs
 several requested actions in the order of the tuple ``ACTIONS``.
 """
 
@@ -49,8 +49,8 @@ class Result:
 
     document: Any
     show: Callable[[], None]
-    status: int = EXIT_OK  # A command with several actions returns the highest exit status.
-    notes: tuple[str, ...] = ()  # Notes that the command prints on standard error.
+    status: int = EXIT_OK  # With several actions, ``wheelleg inspect`` returns the highest exit status.
+    notes: tuple[str, ...] = ()  # The notes that ``wheelleg inspect`` prints on standard error.
 
 
 @dataclass(frozen=True)
@@ -118,13 +118,13 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the requested actions; if no action is requested, print a recording's summary or statistics of ``--term``."""
+    """Run each action that an option such as ``--plot`` requests, and return the highest exit status of the actions."""
     from wheelleg_exp.inspection.recording_target import find_target
 
     default = "stats" if args.term else "summary"
     chosen = [action for action in ACTIONS if _is_given(args, action.name)]
     chosen = chosen or [action for action in ACTIONS if action.name == default]
-    # Raise UsageError for an option that none of the requested actions reads.
+    # Raise UsageError for a command-line option that no requested inspection action reads.
     used = {option for action in chosen for option in action.options}
     for option in dict.fromkeys(option for action in ACTIONS for option in action.options):
         if option not in used and _is_given(args, option):
@@ -164,7 +164,7 @@ def _selection_of(args: argparse.Namespace) -> Selection:
 
 
 def _other_recording(args: argparse.Namespace) -> Recording:
-    """Return the recording that ``--compare`` names; ``--play`` selects a run's play, and ``--id`` a recording id."""
+    """Return the recording that ``--compare`` names; with ``--play``, the last ``wheelleg play`` recording of a run."""
     from wheelleg_exp.inspection.recording_target import find_target, names_a_run
     from wheelleg_exp.recording.reading.recording_reader import Recording
 

@@ -240,7 +240,9 @@ def _runs_folder(root: Path | None) -> Path:
     names = [path.name for path in parent.iterdir() if path.is_dir()] if parent.is_dir() else []
     found = nearest_name(root.name, names)
     nearest, expected = str(root.with_name(found)) if found else None, "the folder of the runs (run.root)"
-    raise WheellegError("the folder does not exist", key=str(root), where="--root", expected=expected, nearest=nearest)
+    raise WheellegError(
+        "the folder of the runs does not exist", key=str(root), where="--root", expected=expected, nearest=nearest
+    )
 
 
 def _run_row(run: RunSummary) -> list[Any]:
@@ -266,7 +268,7 @@ def _percent(value: Any) -> str | None:
 
 
 def _survived(played: Mapping[str, Any]) -> str | None:
-    """Return a play's survived and ended episodes, such as ``60/64``, or the survival rate if a count is missing."""
+    """Return the surviving and ended episodes of a ``wheelleg play`` as ``60/64``; without counts, a survival rate."""
     survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
     if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
         return _percent(survival)

@@ -39,8 +39,8 @@ class Command:
 
     module: str
     help: str
-    run: str = "run"  # The name of the function that runs the command and returns the exit status.
-    project: bool = True  # True if the command reads the configs of the user project in the current folder.
+    run: str = "run"  # The name of the module's function that runs the command-line command.
+    project: bool = True  # True if the command-line command reads configs of the user project in the current folder.
 
 
 COMMANDS: dict[str, Command] = {

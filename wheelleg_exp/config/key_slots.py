@@ -1,7 +1,7 @@
 """Find the type, default, bounds, and description of each key that the config accepts.
 
-The slot of a key comes from the code that reads the key: from the dataclass of a section, from the signature of a
-term, or from a class of rsl_rl.
+The type of a key comes from the code that reads the key: from the dataclass of a section, from the signature of a term,
+or from a class of rsl_rl.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"
 # Config keys that rsl_rl reads, although no constructor of rsl_rl has parameters with the names of the keys.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# By section of a term ("": any section) and name of its parameter: the section whose terms the parameter names.
+# For example, the parameter command_name of a term in any section ("") names a term of the section commands.
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
@@ -54,7 +54,7 @@ class Slot:
     """
 
     annotation: Any = Any
-    # The field needs a factory, because `inspect` treats the default Parameter.empty as a missing default.
+    # The field ``default`` needs a factory, because `inspect` treats the default Parameter.empty as no default.
     default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
@@ -111,12 +111,12 @@ def section_of(keys: Keys) -> str | None:
 
 
 def term_keys(keys: Keys) -> Keys | None:
-    """Return the config key of the term that contains the key ``keys``; None if no term contains the key."""
+    """Return the key of the term, such as a reward term, that contains the config key ``keys``; None outside terms."""
     return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
 
 
 def named_section(section: str | None, name: str) -> str | None:
-    """Return the section whose terms a term's parameter names; ``section`` is the section of the term itself."""
+    """Return the config section that a term's parameter refers to, such as ``commands`` for ``command_name``."""
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
@@ -174,7 +174,7 @@ def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspec
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the types and defaults of the attributes of a parameter's default object."""
+    """For a parameter whose default is an object, return the types and default values of the object's attributes."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
         return {}
@@ -221,7 +221,7 @@ def rsl_class(name: Any) -> Any:
 
 
 def _element(above: Slot, key: str) -> Slot | None:
-    """Return the type of a mapping's or list's elements; None if ``above`` is neither a mapping nor a list type."""
+    """Return the element type of the mapping or list that ``above`` describes; None if ``above`` describes neither."""
     element = dataclasses.replace(above, default=REQUIRED)
     for annotation in options_in(above.annotation):
         origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)

@@ -35,7 +35,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Check:
-    """``check``: the reasons for accepted findings, by rule. null reports a finding that a parent silences."""
+    """The section ``check`` with the reason for each silenced physics rule; null cancels a parent config's reason."""
 
     silence: dict[str, str | None] = field(default_factory=dict)
 
@@ -84,7 +84,7 @@ class PlayRecording:
 
 @dataclass(frozen=True)
 class PlayRoot:
-    """The keys at the top level of a play's config: ``env`` and ``agent`` of the run, and the settings of the play."""
+    """The top-level config keys of ``wheelleg play``, which include ``env`` and ``agent`` of the played run."""
 
     seed: Seed
     play: Play
@@ -96,14 +96,14 @@ class PlayRoot:
 
 @dataclass(frozen=True)
 class PipelineRoot:
-    """The keys at the top level of a pipeline's config, whose phases ``wheelleg_exp.jobs.pipeline`` reads."""
+    """The top-level config keys of a training pipeline, whose phases ``wheelleg_exp.jobs.pipeline`` reads."""
 
     pipeline: Section
 
 
 @dataclass(frozen=True)
 class EvaluateRoot:
-    """The keys at the top level of an evaluation's config: ``env`` and ``agent`` of the run, and the protocol."""
+    """The top-level config keys of ``wheelleg evaluate``, which include ``env`` and ``agent`` of the evaluated run."""
 
     seed: Seed
     protocol: Section
@@ -127,7 +127,7 @@ PHYSICS_RULES: tuple[str, ...] = (
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether a dataclass in ``OPTIONS`` instead of ``root`` defines the keys of the section at ``path``."""
+    """Return whether ``root`` leaves the keys of the section ``path`` open, so that ``OPTIONS`` defines these keys."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 

@@ -1,7 +1,8 @@
-"""Find the values that the parts of an environment's step read and write.
+"""Find the attribute values that the methods of an environment's step read and write.
 
-The module ``graph_capture`` needs the values that a recorded CUDA graph depends on or changes. A *slot* is a place that
-holds a value: an attribute, or an entry of a dictionary or list in an attribute (see ``state.object_graph``).
+The module ``graph_capture`` needs the attribute values that a recorded CUDA graph depends on or changes. A *slot* is a
+place that holds a value: an attribute, or an entry of a dictionary or list in an attribute (see
+``state.object_graph``).
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ _MOST_KNOWN = 64  # numbered combinations of settings
 
 
 class Values:
-    """All values of an environment's objects that the captured parts of the environment's step can read or write.
+    """All attribute values that methods captured as CUDA graphs can read or write in an environment's objects.
 
-    Numbers and texts that a part of the environment's step changes are *flags*; all other numbers and texts are
-    *settings*. Before each part of the environment's step runs, the flags are compared with the flags' recorded values.
-    Because there are many settings, they are compared only after code has run that may have changed a setting.
+    A number or text that a method captured as a CUDA graph changes is a *flag*; every other number or text is a
+    *setting*. Flags (attributes that a captured method changes) are read before each replay of a CUDA graph. The many
+    settings (constant attributes) are compared only after code that may change attributes has run.
 
     Attributes:
         is_checked: whether no code has run since the last comparison that may have changed a setting.
@@ -52,7 +53,7 @@ class Values:
         self._number, self._numbers = -1, itertools.count()
 
     def objects(self) -> Iterator[Any]:
-        """Yield every object whose attributes a captured part of the step may read or write."""
+        """Yield every environment object whose attributes a method captured as a CUDA graph may read or write."""
 
         def children(name: str, node: Any) -> Iterator[tuple[str, Any]]:
             return iter(()) if _runs_outside(node) else parts(name, node)
@@ -60,18 +61,18 @@ class Values:
         return (node for _, node in walk([("env", self._root)], children) if not _runs_outside(node))
 
     def slots(self) -> Iterator[Slot]:
-        """Yield every slot (attribute or entry) that a captured part of the step may read or write."""
+        """Yield every slot (attribute, or entry of an attribute) that a method captured as a CUDA graph may access."""
         return (slot for node in self.objects() for slot in slots(node))
 
     def key(self) -> Key:
-        """Return the identification number of the present combination of settings, and the present flags."""
+        """Return the key of a CUDA graph: a number for the values of all settings, and the values of all flags."""
         if not self.is_checked:
             self._check()
             self.is_checked = True
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Treat the given slots as flags from now on; return whether at least one of the slots is a new flag."""
+        """Treat the attributes ``found`` as flags, which captured methods change; return whether a flag is new."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -81,7 +82,7 @@ class Values:
         return bool(new)
 
     def difference(self, before: Key, now: Key) -> str:
-        """Return the name of a setting or flag whose values differ between two keys."""
+        """Return the name of an attribute whose values differ between two results of ``key``."""
         (old, old_flags), (new, new_flags) = before, now
         known = {number: settings for settings, number in self._known.items()}
         pairs = [*zip(self._settings, known.get(old, ()), known.get(new, ()), strict=False)]
@@ -89,11 +90,11 @@ class Values:
         return next((str(slot) for slot, was, value in pairs if was != value), "the set of attributes")
 
     def _check(self) -> None:
-        """Compare all settings with their last values, and give each new combination of values a number.
+        """Compare all settings (constant attributes) with their last values, and number each new combination of values.
 
-        Most comparisons of settings find no change, so comparing settings must be fast. The settings are read through
-        the containers in ``_places`` and compared by identity. The graph of objects is walked again only if a container
-        was replaced or changed its size.
+        Most comparisons of settings find no change, so comparing the values of settings must be fast. Settings are read
+        from the dictionaries and lists that contain the settings, and are compared by identity. The environment's
+        objects are searched for settings only if a dictionary or list was replaced or changed its size.
         """
         before = self._present
         if not self._places or any([len(one) != size for one, size in self._sizes]):
@@ -103,7 +104,7 @@ class Values:
         except LookupError:
             self._find_settings()
             now = self._present
-        # Comparing settings by identity is enough: a setting replaced by an equal object costs one slow comparison.
+        # Attribute values are first compared by identity, which is fast, and after a change by value.
         if self._present is before and all(map(operator.is_, now, before)):
             return
         changed = zip(before, now, strict=True) if self._present is before else ()
@@ -126,7 +127,7 @@ class Values:
             if is_plain(value) or isinstance(value, tuple):
                 self._settings.append(slot)
                 places[id(slot.container), slot.path[-1]] = slot.container, slot.path[-1]
-                # A replaced parent container hides the slot's change, so watch every container on the path too.
+                # If a dictionary or list is replaced, its entries can change, so also compare dictionaries and lists.
                 places |= {(id(parent), key): (parent, key) for parent, key, _ in slot.containers}
         self._places = list(places.values())
         self._present = [container[key] for container, key in self._places]
@@ -136,7 +137,7 @@ class Values:
         self._sizes = [(one, len(one)) for one in sized]
 
     def move_rebound(self, found: Sequence[Slot]) -> None:
-        """For each tensor that a part of the step rebinds, provide static memory that all recordings share."""
+        """Give each attribute to which a step assigns new tensors one static tensor that all CUDA graphs share."""
         moved = []
         # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
@@ -154,14 +155,14 @@ class Values:
                 slot.set(static)
 
     def undeclared(self) -> Iterator[tuple[tuple[int, str], tuple[str, Any]]]:
-        """Yield those values of terms that are neither a tensor nor a setting, by term and attribute."""
+        """Yield the attributes of manager terms that are not tensors, numbers, or texts, by term and attribute."""
         for term in self.objects():
             if isinstance(term, TermBase):
                 for name, value in list(vars(term).items()):
                     yield (id(term), name), (f"'{name}' of {type(term).__name__}", _undeclared_in(value))
 
     def undeclared_changes(self, before: Mapping[Any, Any]) -> Iterator[str]:
-        """Yield the name of each undeclared value that differs from ``before``, an earlier result of ``undeclared``."""
+        """Yield the name of each term attribute whose value differs from an earlier result of ``undeclared``."""
         for key, (name, now) in self.undeclared():
             if key in before and not same(now, before[key][1]):
                 yield name
@@ -192,10 +193,10 @@ class TouchedMemory(TorchDispatchMode):
 
 
 def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
-    """Copy the tensors of rebound attributes back into the memory that these attributes held before.
+    """Copy the new tensors of attributes into the attributes' previous tensors, and restore the previous tensors.
 
-    A CUDA graph replays on fixed memory, so each attribute must hold the same memory at the end of a recording as at
-    the start.
+    A CUDA graph replays on fixed memory, so each attribute must hold the same tensor before and after the capture of a
+    CUDA graph.
     """
     moved = [(slot, static, now) for slot, static in tensors if (now := slot.get()) is not static and fits(now, static)]
     copy_tensors([(static, now) for _, static, now in moved])
@@ -220,7 +221,7 @@ def _is_container(value: Any) -> bool:
 
 
 def _runs_outside(node: Any) -> bool:
-    """Return whether an object is an event term that no captured part of the step calls, unlike a reset event."""
+    """Return whether an object is an event term of another mode than ``reset``, which no CUDA graph contains."""
     return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
@@ -261,7 +262,7 @@ class _Identity:
 
 
 def kind_of(value: Any) -> Any:
-    """Return the part of a value that a recording depends on: type and plain value, tuple identity, or tensor form."""
+    """Return what a CUDA graph depends on in a value: type and plain value, tuple identity, or tensor form."""
     kind = type(value)
     if kind in PLAIN:
         return kind, value

@@ -25,7 +25,7 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-# A lower bound of the memory of one environment (state, outputs, and observations of a small robot), bytes.
+# A lower bound of the memory that one environment needs for state, outputs, and observations, bytes.
 _BYTES_PER_ENV = 10_000
 
 Observations = dict[str, Group]
@@ -67,7 +67,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
         self.step_dt = self.physics_dt * self.decimation
         self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))
-        # Round the quotient first, because 5 s / (2 / 120 s) must be 300 steps, not 301.
+        # Round before ``ceil``, because an episode of 5 s with control steps of 2/120 s must have 300 steps, not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
@@ -102,7 +102,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # With recorders, no CUDA graph is captured, because recorders wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
-        # Create EnvAttributes last, because EnvAttributes treats attributes that are added later as state of terms.
+        # Create EnvAttributes last, because attributes that are added to the environment later count as state of terms.
         self._attributes = EnvAttributes(self, self.managers, cfg)
 
     @property
@@ -121,7 +121,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         }
 
     def step(self, action: torch.Tensor) -> StepResult:
-        """Advance every environment by one control step with raw actions (N, A), in the order of Isaac Lab.
+        """Advance every environment by one control step with raw actions (N, A), with Isaac Lab's order of operations.
 
         Terminations and rewards are computed from the state after the physics steps. Environments whose episode ended
         are reset after the rewards. The observation returned for a reset environment is the first one of the new
@@ -129,9 +129,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         push.
 
         ``step`` returns observations by group, reward (N,), terminated (N,), truncated (N,), and extras. If an
-        environment's physics or reward is NaN or inf, its episode terminates with reward 0, and
-        ``extras["non_finite"]`` names the term. Raise SimulationFailure if an observation or a number that an event
-        wrote is NaN or inf.
+        environment's physics or reward is NaN or inf, its episode terminates with reward 0. In this case,
+        ``extras["non_finite"]`` contains the config keys of the failed reward terms or of the failed physics. Raise
+        SimulationFailure if an observation or a number that an event wrote is NaN or inf.
         """
         skipped = self._skipped()
         self._act(action)
@@ -156,7 +156,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":
-            # With autoreset next_step or disabled, failed environments show their last state, which can be NaN.
+            # If ``autoreset`` is ``next_step`` or ``disabled``, observations of failed environments can be NaN.
             require_finite_observations(self, is_noted=True)
         ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
@@ -242,7 +242,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return ended
 
     def _end_failed(self, env_ids: torch.Tensor) -> None:
-        """End the episodes of environments whose physics or reward is NaN or inf; report the terms and the state."""
+        """End the episodes of environments whose physics or reward is NaN or inf; name failed terms in ``extras``."""
         if len(env_ids):
             self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
             found = failures(self, env_ids)
@@ -268,7 +268,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        # The first query did not wait for the rewards, so only the second query finds environments with NaN rewards.
+        # ``_end_episodes`` did not wait for the GPU to compute the rewards, so find NaN rewards here.
         failed, not_reset = self._ended.late()
         self._end_failed(failed)
         if len(not_reset):

@@ -13,7 +13,7 @@ from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
-# Attributes that the environment or the environment's caller changes, and that are not state of terms.
+# The environment or its caller changes the attributes ``_OWN``, so ``_OWN`` is not state of manager terms.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 
 
@@ -76,7 +76,7 @@ def _is_plain(name: str, item: Any) -> bool:
 
 
 def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
-    """Return all objects whose attributes are saved as their state, by config key."""
+    """Return the terms, actuators, and observation modifiers whose attributes a checkpoint contains, by config key."""
     found: dict[str, Any] = {term.path: term.stateful for term in terms if term.stateful is not None}
     found |= {f"env.robot.actuators.{name}": actuator for name, actuator in env.scene.robot.actuators.items()}
     manager = env.observation_manager

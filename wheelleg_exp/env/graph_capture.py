@@ -1,24 +1,25 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
-The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. Without the
-capture of CUDA graphs, each call of a captured part runs the method. ``GraphCapture`` runs a part of the step a few
-times, records a CUDA graph, and from then on replays the graph.
+The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. If CUDA graphs
+are not captured, each call of a marked method runs the method's Python code. ``GraphCapture`` runs a marked method a
+few times, records the method as a CUDA graph, and then replays this graph.
 
-A CUDA graph repeats kernels on fixed memory and does not run Python. The capture has to find out which attributes the
-Python code of a part of the step reads and writes. The contract for the objects that a part uses (terms, managers,
-robot, sensors) is:
+A CUDA graph repeats kernels on fixed memory and does not run Python. ``GraphCapture`` must find the attributes that the
+Python code of a method captured as a CUDA graph reads and writes. The contract for the objects that a captured method
+uses (terms, managers, robot, sensors) is:
 
-- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A part of the step may write to a
-tensor, or assign a new tensor of equal shape to an attribute.
-- **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, the next part of the
-step runs with the setting's new value. Each combination of settings that occurs often has its own recording.
-- A part may also change a setting (for example a flag), but its new value must follow from the old values.
-- All other values that a part changes are undeclared: a number that counts up, a growing list, a deque, a tuple of
-  tensors, a module, or a foreign object. A part of the step that has undeclared state or waits for the GPU runs without
-  a CUDA graph. A warning names the reason.
+- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A captured method may write to a
+  tensor, or assign a new tensor of equal shape to an attribute.
+- **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, a CUDA graph that was
+  recorded with the old value is not replayed. Each combination of attribute values that occurs often has its own CUDA
+  graph.
+- A captured method may also change a number or text, if the new value depends only on the old numbers and texts.
+- All other values that a captured method changes are undeclared: a number that counts up, a growing list, a deque, a
+  tuple of tensors, a module, or a foreign object. A method that changes undeclared values (such as a counter or a list)
+  or waits for the GPU runs without a CUDA graph. A warning names the reason.
 
-A part of the step runs twice before the part is recorded. In the second run of a part, the capture compares all
-attributes before and after the run.
+Each method runs twice as Python code before the method is recorded as a CUDA graph. In a method's second run, the
+attributes before the run are compared with the attributes after the run.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.state import cloned
 from wheelleg_exp.state.object_graph import Slot, is_plain
 
-# The number of runs after which lazily created tensors exist and libraries have allocated their workspaces.
+# After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
-# The largest number of recordings of one part. A reset needs a recording for each number of environments.
+# The largest number of CUDA graphs of one method; a reset needs a CUDA graph for each number of environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# The number of past runs of a part in which the capture counts how often a combination of values occurred.
+# The capture counts the combinations of attribute values over the last ``_WINDOW`` calls of a method.
 _WINDOW = 1024
-# A warning appears once the runs without a CUDA graph outnumber the runs with a CUDA graph by this number.
+# A warning appears if a method's runs without a CUDA graph outnumber its replays of CUDA graphs by ``_MANY``.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -52,11 +53,11 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
-    """Mark a method of the environment as a part of the step that may be captured as a CUDA graph.
+    """Mark a method of the environment's step that may be captured as a CUDA graph.
 
-    With ``to_caller``, the method's result is returned to the caller of the environment. A returned result is copied
-    out of the memory of the CUDA graph. Settings are compared before the next part runs, because the caller may change
-    a setting.
+    If ``to_caller`` is true, the result of the marked method is returned to the environment's caller. A result for the
+    environment's caller is copied out of the memory of the CUDA graph. The environment's caller may change attributes,
+    so all attribute values are checked for changes before the next replay.
     """
 
     def decorate(method: Method) -> Method:
@@ -72,9 +73,9 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
 
 
 def host_part(method: Method) -> Method:
-    """Mark a method that is never captured and may change settings, for example because the method calls user code.
+    """Mark a method that always runs as Python code and may change any attribute, for example by calling user code.
 
-    A method marked by ``host_part`` that returns False has changed no setting.
+    If a method marked by ``host_part`` returns False, the method has changed no attribute.
     """
 
     @functools.wraps(method)
@@ -97,7 +98,7 @@ class Graph(Protocol):
         """Record the work."""
 
     def replay(self) -> None:
-        """Repeat the work that a CUDA graph recorded, on the memory that the recording used."""
+        """Repeat the recorded kernels on the memory that these kernels used during the capture of the CUDA graph."""
 
 
 class CudaGraph:
@@ -115,7 +116,7 @@ class CudaGraph:
         return graph
 
     def record(self, work: Callable[[], None]) -> None:
-        """Record the work as a CUDA graph. The kernels of the recorded work do not run before the first replay."""
+        """Record the kernels that the function ``work`` launches; the kernels do not run before the first replay."""
         torch.cuda.synchronize()
         stream, failed = torch.cuda.current_stream(), []
         try:
@@ -126,12 +127,12 @@ class CudaGraph:
                     failed.append(error)
                     raise
         except Exception as error:
-            # A capture that fails at its end leaves its own stream as torch's current stream.
+            # If the capture of a CUDA graph fails at its end, the capture's stream remains torch's current stream.
             torch.cuda.set_stream(stream)
-            # Random generators of a failed capture stay blocked until a later capture ends, so capture one kernel here.
+            # Random generators of a failed capture are blocked until a later capture ends, so capture one kernel here.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # Prefer the error of the recorded work, because it names the term.
+            cause = (failed or [error])[0]  # The error of ``work`` names the failed manager term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -140,12 +141,12 @@ class CudaGraph:
 
 
 class GraphCapture:
-    """Runs the parts of an environment's step: directly at first, as recordings later."""
+    """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later."""
 
     def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
-        # Use masks, which have a fixed shape, because the number of row indices differs from step to step.
+        # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
-        # Curricula and recorders log Python numbers, so their managers are reset in Python after the replay.
+        # Curricula and recorders log Python numbers, so a reset runs their managers after the CUDA graph's replay.
         self._reset_later = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
         self._env, self._make_graph = env, make_graph
@@ -154,11 +155,11 @@ class GraphCapture:
 
     @property
     def recordings(self) -> int:
-        """The number of recorded CUDA graphs of all parts."""
+        """The number of recorded CUDA graphs of all captured methods."""
         return sum(len(part.recordings) for part in self.parts.values())
 
     def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
-        """Run a part of the environment's step, or replay a recording of the part."""
+        """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
         env = self._env
         name = method.__name__
         if name not in self.parts:
@@ -181,7 +182,7 @@ class GraphCapture:
 
 @dataclass
 class Recording:
-    """One recorded CUDA graph of a part of the step, and the Python work before and after a replay.
+    """One recorded CUDA graph of a method, and the attribute values to copy before and after each replay.
 
     Attributes:
         buffers: slots of tensors that the work reads or writes, and the memory that the graph uses for them.
@@ -212,7 +213,7 @@ class Recording:
         self._containers = list(found.values())
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy the present values into the memory of the CUDA graph; return the slots whose values do not fit."""
+        """Copy attribute values and arguments into the CUDA graph's memory; return attributes that do not fit."""
         try:
             if not all([parent[key] is container for parent, key, container in self._containers]):
                 self._find_places()
@@ -236,7 +237,7 @@ class Recording:
         return []
 
     def replay(self) -> Any:
-        """Replay the CUDA graph, and repeat the assignments that the recorded work made in Python."""
+        """Replay the CUDA graph, and set the attributes that the recorded method sets in Python code."""
         self.graph.replay()
         for slot, content in self.filled:
             whole = slot.get()
@@ -249,12 +250,12 @@ class Recording:
 
 
 class CapturedPart:
-    """One part of the step.
+    """One method of the environment's step, and the CUDA graphs recorded from it.
 
-    ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of environments that a
-    reset resets differs from call to call. ``values`` has the settings and flags of the environment, which all parts of
-    the step share. The function ``reset_caches`` is called before every run and drops cached quantities. ``streams``
-    returns all random streams.
+    The function ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of
+    environments that a reset resets differs from call to call. ``values`` finds the environment's attribute values, and
+    is shared by all captured methods of the step. The function ``reset_caches`` is called before every run and drops
+    cached quantities. ``streams`` returns all random streams.
     """
 
     def __init__(
@@ -280,13 +281,13 @@ class CapturedPart:
         self._last: Key = (-1, ())
 
     def __call__(self, *args: Any) -> Any:
-        """Run a part of the environment's step, or replay a recording of the part."""
+        """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
         self._reset_caches()
         if self.fails:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # Drop all recordings, because the recordings' keys lack the values of the new flags, which can matter.
+            # Drop all recorded CUDA graphs, because their keys lack the values of attributes that were found later.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -305,7 +306,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # Do not store a recording that found a new flag, because the recording's key lacks the flag's value.
+                # A capture that found another changing attribute has an incomplete key, so do not store its CUDA graph.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -318,11 +319,11 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[Any, ...]) -> Any:
-        self._values.is_checked = False  # Python code that ran instead of a replay may have changed settings.
+        self._values.is_checked = False  # Python code that runs instead of a CUDA graph may change attributes.
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
-        """Count a run with a key, and return how many of the last ``_WINDOW`` runs had this key."""
+        """Count a call with the attribute values ``key``; return how many of the last calls had equal values."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -333,19 +334,19 @@ class CapturedPart:
         return self._counts[key]
 
     def _is_worth(self, key: Key, count: int) -> bool:
-        """Return whether to record a key: it must occur often, and more often than the rarest recording."""
+        """Return whether the attribute values ``key`` occur often enough to record a CUDA graph for these values."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # An unrecorded key must be twice as frequent as the rarest recorded key, or rare keys would replace each other.
+        # Replace the least used CUDA graph only for attribute values that occur at least twice as often.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Drop a recording whose memory does not fit the present tensors.
+        """Drop a CUDA graph into whose memory the present tensors cannot be copied.
 
-        The shapes and types of the tensors become a part of the key, so that the next recording is replayed only for
+        The shapes and types of these tensors become part of the keys, so that the next CUDA graph is replayed only for
         equal shapes and types.
         """
         del self.recordings[key]
@@ -372,7 +373,7 @@ class CapturedPart:
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
-        """Run a part of the step without a CUDA graph, and check that the part follows this module's contract."""
+        """Run the captured method without a CUDA graph, and find the attributes that the method changes."""
         values = self._values
         before = [(slot, slot.get()) for slot in values.slots()]
         undeclared = dict(values.undeclared())
@@ -397,8 +398,8 @@ class CapturedPart:
         return found
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
-        """Record work as a CUDA graph; return None if recording fails, for example if the work waits for the GPU."""
-        # Each registered random stream costs two launches per replay, so first register only the used streams.
+        """Record the method as a CUDA graph; return None if this fails, for example if the method waits for the GPU."""
+        # Each registered random stream costs two kernel launches per replay, so try to register only used streams.
         for streams in (self._drawn, self._streams()):
             try:
                 return self._record(args, self._make_graph(streams))
@@ -425,7 +426,7 @@ class CapturedPart:
             with touched:
                 result = self._work(*inputs)
                 if self.is_reset:
-                    # Store the log of a reset as names and one tensor, which is faster to copy at every replay.
+                    # Store the log of a reset as names and one tensor, which is faster to copy than many tensors.
                     if not all(isinstance(value, torch.Tensor) for value in result.values()):
                         raise RuntimeError("the log of a reset must contain only tensors, but contains another value")
                     result = list(result), torch.stack([value.reshape(()) for value in result.values()])
@@ -435,7 +436,7 @@ class CapturedPart:
         try:
             graph.record(work)
         except Exception:
-            # A failed recording has run no kernels, so restore the values that all attributes had before the recording.
+            # A failed capture has run no kernels, so restore the attribute values from before the capture.
             for slot, content in dictionaries:
                 slot.set(content)
             for slot, value in (*tensors, *others):

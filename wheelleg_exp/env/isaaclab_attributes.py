@@ -28,8 +28,8 @@ class NoSuchKey(ConfigError, AttributeError):
 class Cfg(Mapping[str, Any]):
     """A read-only section of the composed config, with access by attribute and by key.
 
-    The section of a term has ``func``, the term's target, and ``params``, the term's parameters. ``root`` is the
-    complete config section ``env``.
+    The config section of a term has ``func``, the path of the term's function, and ``params``, the term's parameters.
+    ``root`` is the complete config section ``env``.
     """
 
     def __init__(self, section: Mapping[str, Any], path: str = "env", root: Mapping[str, Any] | None = None) -> None:
@@ -76,7 +76,7 @@ class Cfg(Mapping[str, Any]):
     }
 )
 class Simulation(Kept):
-    """Attributes of ``env.sim`` that terms written for Isaac Lab read."""
+    """The object ``env.sim`` for manager terms that were written for Isaac Lab and read its attributes."""
 
     def __init__(self, env: Env) -> None:
         self._env = env

@@ -1,7 +1,7 @@
 """Tests with disturbances: pushes and changed worlds.
 
 The push test finds by bisection the hardest push that a standing robot survives, and measures the recovery time after a
-reference push. The robustness test changes one property of the simulation at a time, such as friction.
+push of a fixed strength. The robustness test changes one property of the simulation at a time, such as friction.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ class Pushes:
 def push_columns(
     rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, tell: Tell | None
 ) -> tuple[Columns, Trajectories]:
-    """Return the hardest survived push and the recovery from the reference push of each episode, (N,) each.
+    """Return each episode's hardest survived push, and its recovery from a push of ``reference`` m/s, (N,) each.
 
     ``limit_m_s`` is the hardest survived push, found by bisection of [0, highest]. Each episode is simulated
     ``iterations`` times from the same start, with a push in the middle of the bisection interval. ``limit_m_s`` is 0 if
     the robot falls after every push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of
-    the base before the push. ``recovery_s`` is the time from the reference push until tilt and height stay in their
-    tolerance bands for ``recovered_s``; NaN if the push never moves tilt and height out of the bands. ``recovered`` is
-    1 if the robot does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
+    the base before the push. ``recovery_s`` is the time from the push of ``reference`` m/s until tilt and height stay
+    in their tolerance bands; NaN if the push never moves tilt and height out of the bands. ``recovered`` is 1 if the
+    robot does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -121,8 +121,8 @@ def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -
     """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
 
     ``worlds`` adds events that set masses, centres of mass, gains, or friction. The added events run after the task's
-    events, and overwrite the random values of the task's events. In the noise variants, the observation terms in
-    ``noise_std`` get the noise of the variant. ``base`` is the name of the robot's root link.
+    events, and overwrite the random values of the task's events. For observation noise, the standard deviations
+    ``noise_std`` of observation terms are multiplied by a factor. ``base`` is the name of the robot's root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:

@@ -27,7 +27,7 @@ CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
 _CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "track_air_time": False}
 _DISTURBING = ("interval", "step")
-_MOST_CONTACTS = 8  # The largest number of contacts of a wheel on rough ground.
+_MOST_CONTACTS = 8  # A wheel on rough ground has at most 8 contacts.
 
 
 def evaluation_cfg(

@@ -20,11 +20,11 @@ from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositi
 
 Array = np.ndarray[Any, Any]
 
-# The LQR weights of position, pitch, speed, and pitch rate (m, rad, m/s, rad/s), and of the wheel acceleration, rad/s².
+# The LQR cost weights position, pitch, speed, and pitch rate (m, rad, s) by `_STATES`, wheel acceleration by `_INPUT`.
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
 _HEADING = 4.0  # gain, 1/s
-# The limit of the integrator's input, rad, which prevents that a push or a fall winds up the integrator.
+# The limit of the integrator's input, rad, prevents that a push or a fall winds up the integrator.
 _MOST_ERROR = 0.05
 
 
@@ -67,8 +67,9 @@ class Pendulum:
         """Return the matrices A (4, 4) and B (4, 1) of the model with the state [position, pitch, speed, pitch rate].
 
         The pendulum model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative
-        to the body, so the armature cancels. With the pitch θ and the axle's speed v = r (w + θ'):
-        ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``, where m_w is ``rolling``.
+        to the body, so the armature cancels. With the wheel speed w, the pitch θ, and the axle's speed v = r (w + θ'),
+        the equations of motion are ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``. I is
+        ``inertia``, m is ``mass``, h is ``height``, r is ``radius``, m_w is ``rolling``, and τ is the wheel torque.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -144,10 +145,10 @@ class Reference:
     commanded speed, so that the LQR corrects position errors.
 
     An integrator estimates the pitch at which the robot balances. The balanced pitch depends on the centre of mass, on
-    external forces, and on the slope of the ground. With the time constant of the unstable pole, the integrator sums
-    the pitch acceleration that the linear model does not predict. The unpredicted acceleration is 0 in balance, so the
-    position has no steady-state error. Commands do not wind up the integrator, because the linear model predicts the
-    effect of commands.
+    external forces, and on the slope of the ground. The integrator's input is the measured pitch acceleration minus the
+    pitch acceleration that the linear model predicts. The integrator's time constant is that of the unstable pole. In
+    balance, the measured and the predicted pitch acceleration are equal, so the position has no steady-state error.
+    Commands do not wind up the integrator, because the linear model predicts the effect of commands.
     """
 
     name = "reference"
@@ -165,7 +166,7 @@ class Reference:
         # In a left turn, left wheels get a negative speed change and right wheels get a positive speed change.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
-        # A wheel drive's bandwidth, 1/s, is its damping divided by its armature, but at most one per control step.
+        # A wheel drive's bandwidth, 1/s, is its damping divided by its armature, but at most the control frequency.
         robot = env.scene.robot
         ids = [robot.joint_names.index(name) for name in names]
         damping = robot.data.default_joint_damping[0, ids].mean()

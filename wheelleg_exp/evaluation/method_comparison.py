@@ -1,7 +1,6 @@
 """Compare evaluations: one method over several training seeds, and one method against another.
 
-The module computes bootstrap intervals over training seeds, intervals of differences between methods, and statistical
-tests of episodes. The functions ``verdict`` and ``push_verdict`` describe differences between methods in sentences.
+The functions ``verdict`` and ``push_verdict`` describe differences between methods in sentences.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ ALPHA = 0.05  # significance level
 class Interval:
     """A metric's value with the lower and the upper end of its 95 % confidence interval.
 
-    ``floor`` is the noise floor: the difference of two such values that chance exceeds once in 20 times.
+    ``floor``, the noise floor, is the difference between repeated measurements that chance exceeds once in 20 times.
     """
 
     value: float
@@ -60,7 +59,7 @@ class Test:
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """One metric of trainings that differ only in their seed. The interval of ``mean`` is clustered by training."""
+    """A metric over trainings that differ only in the seed; the interval of ``mean`` is a bootstrap over trainings."""
 
     metric: str
     unit: str
@@ -77,8 +76,7 @@ class Difference:
     Attributes:
         metric: ``group/metric``.
         unit: unit of all numbers.
-        better: ``higher``, ``lower``, or empty. ``better`` is empty for maxima over episodes, because no statistical
-            test is valid for a maximum.
+        better: ``higher``, ``lower``, or empty; empty for maxima over episodes, for which no statistical test is valid.
         first: mean over the trainings of the method in question.
         second: mean over the trainings of the other method.
         interval: first minus second, with its bootstrap interval.
@@ -100,7 +98,7 @@ class Difference:
         """The word ``better`` or ``worse`` if two methods differ significantly in a metric, or else an empty text.
 
         A difference is significant if the corrected p value is below ``ALPHA``, and the test has the same sign as the
-        difference of the means. Without a test, the difference's interval must exclude 0.
+        difference of the means. A difference without a test is significant if its confidence interval excludes 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
@@ -122,18 +120,17 @@ class Difference:
 def interquartile_mean(values: Array) -> float:
     """Return the interquartile mean (mean of the middle half) of ``values``; NaN for an empty array.
 
-    The interquartile mean drops the lowest and the highest quarter of the values, each rounded down. With fewer than
-    four values, the interquartile mean is the plain mean. The interquartile mean is from Agarwal et al., Deep
-    Reinforcement Learning at the Edge of the Statistical Precipice (2021).
+    The interquartile mean (Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, 2021)
+    drops the lowest and the highest quarter of the values, each rounded down.
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan
 
 
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
-    """Return the mean of a metric over S training seeds with a percentile bootstrap interval, clustered by seed.
+    """Return a metric's mean over S training seeds with a percentile interval of a bootstrap over seeds and episodes.
 
     ``values`` (S,) is the metric of each seed. ``drawn`` contains B bootstrap values of the metric for each seed, (B,)
-    each. With one training seed, the interval covers only the variation between episodes, not between trainings.
+    each. With one training seed, the bootstrap interval covers only the variation between episodes.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
@@ -144,7 +141,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
 
     The episodes of one training seed are not independent samples of the method. The bootstrap resamples first training
     seeds, and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). With a single
-    training seed, the bootstrap values keep their order.
+    training seed, the function returns the bootstrap values of this seed without resampling.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -152,7 +149,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # np.resize repeats the values of short columns, but `places` never selects the repeated values.
+    # Repeat each seed's bootstrap values up to the same length; the random indices never select a repeated value.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -169,7 +166,7 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 
 
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
-    """Return the 95 % quantile of the absolute difference between two random bootstrap values.
+    """Return the 95 % quantile of the absolute difference between two randomly drawn bootstrap values of a metric.
 
     If a method is trained and evaluated twice with equal numbers of seeds and episodes, the two results differ by more
     than the noise floor once in 20 times. For normally distributed values, the noise floor is 1.96 √2 standard errors.
@@ -249,7 +246,7 @@ def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
 
 
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
-    """Return the difference of two methods in each common metric. Raise RunDirectoryError if the scenarios differ.
+    """Return the difference of two methods in each common metric; raise RunDirectoryError if their scenarios differ.
 
     Each method has one evaluation per training seed. Two episodes with equal start states are a pair. For a method with
     several trainings, the metric's value in a scenario is the mean over all trainings of the method.
@@ -355,7 +352,7 @@ def verdict(found: Sequence[Difference], first: str, second: str, trainings: Seq
 
 
 def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
-    """Return a sentence that states which of two methods survives harder pushes; an empty text without push tests.
+    """Return a text about which of two methods survives harder pushes; return an empty text if no push was tested.
 
     A method is better if it survives significantly harder pushes of every kind: kicks, and pulses of each length.
     """
@@ -373,7 +370,12 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     text = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
     ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
-    text += f" {second[0].upper()}{second[1:]} survives {' and '.join(ratios)} that {first} survives." if ratios else ""
+    text += (
+        f" {second[0].upper()}{second[1:]}, the second method, survives {' and '.join(ratios)} that the first method,"
+        f" {first}, survives."
+        if ratios
+        else ""
+    )
     single = [row for name, row in rows.items() if name.startswith(_LIMIT) and "°" in name]
     counts = [(len([row for row in single if row.outcome == word]), word) for word in ("better", "worse")]
     tally = " and ".join(f"{word} in {count}" for count, word in counts if count)

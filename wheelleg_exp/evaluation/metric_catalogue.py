@@ -64,9 +64,9 @@ def skill(columns: Sequence[Array]) -> Array:
 
 
 def area(columns: Sequence[Array], band: float) -> Array:
-    """Return the share of commands for which no robot fell and the mean tracking errors were in the tolerance band.
+    """Return the share of commands for which no robot fell and no mean relative tracking error exceeded ``band``.
 
-    ``columns`` contains each episode's command index and the relative errors of both axes; inf after a fall.
+    ``columns`` contains each episode's command index and relative velocity errors (forward, yaw); inf after a fall.
     """
     cell, *errors = columns
     passed = []
@@ -81,7 +81,7 @@ def area(columns: Sequence[Array], band: float) -> Array:
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Return the lowest value of ``of`` over commands. ``columns`` are each episode's command index and value."""
+    """Return the lowest ``of(values)`` over groups of episodes; ``columns`` are each episode's group and value."""
     cell, value = columns
     with warnings.catch_warnings():
         # A bootstrap resample can lack all episodes of a command, and numpy warns about the mean of an empty array.
@@ -217,7 +217,7 @@ def percentiles(drawn: Array) -> tuple[float, float]:
 
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return a test's metrics whose columns exist, with the tolerance bands and limits of ``protocol``."""
+    """Return the metrics of a test whose columns are in ``columns``; ``protocol`` contains tolerance bands."""
     options = protocol.get(test) or {}
     if test == "walk":
         found = _of_walking(columns, float(options.get("band", 0.1)))
@@ -236,7 +236,7 @@ def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 class Measure(NamedTuple):
-    """A formula for one value per episode, (N,), and its metric. A formula returns None if a robot lacks the value."""
+    """A metric with a formula for each episode's value, (N,); the formula returns None if a robot lacks the metric."""
 
     column: str
     unit: str

@@ -1,7 +1,7 @@
-"""Columns of standing, walking, and stepping episodes: one number per episode.
+"""Compute columns (one number per episode) of standing, walking, and stepping episodes.
 
-The columns of an evaluation describe drift, tracking errors, responses to command steps, and motor effort. The class
-``Motion`` provides quantities from which ``metric_catalogue`` computes further columns.
+The columns of an evaluation describe drift, tracking errors, responses to command steps, and motor effort. The module
+``metric_catalogue`` computes further numbers per episode from the class ``Motion``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from wheelleg_exp.evaluation.protocol_options import Steps, Walk
 from wheelleg_exp.evaluation.trajectories import Trajectories, at, largest, last_exit, mean, rms, slope, total
 
 Columns = dict[str, torch.Tensor]
-_SPEED_HZ = 10.0  # The frequency above which signal power counts as chatter, because a robot moves at a few hertz.
+_SPEED_HZ = 10.0  # Signal power above 10 Hz counts as chatter, because a robot moves at a few hertz.
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Motion:
 
     @cached_property
     def counted(self) -> torch.Tensor:
-        """The mask of the control steps that metrics use, (T, N) bool."""
+        """The mask of the control steps after the settling time in which an episode still runs, (T, N) bool."""
         return self.made.counted(self.settle_s)
 
     @property
@@ -45,7 +45,7 @@ class Motion:
 
     @property
     def duration(self) -> torch.Tensor:
-        """The total duration of each episode's control steps that metrics use, s, (N,)."""
+        """The duration of each episode after the settling time, s, (N,)."""
         return self.counted.sum(dim=0) * self.made.dt
 
     @property
@@ -67,19 +67,19 @@ class Motion:
         return self.made.torque[..., torch.cat(list(self.parts.groups.values()))]
 
     def mean(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the mean of ``values`` (T, N, ...) over all control steps that metrics use and trailing axes, (N,)."""
+        """Return the mean of ``values`` (T, N, ...) over trailing axes and all steps after settling, (N,)."""
         return mean(values, self.counted)
 
     def rms(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the RMS of ``values`` (T, N, ...) over all control steps that metrics use and trailing axes, (N,)."""
+        """Return the RMS of ``values`` (T, N, ...) over trailing axes and all steps after settling, (N,)."""
         return rms(values, self.counted)
 
     def total(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the sum of ``values`` (T, N) over all control steps that metrics use, (N,)."""
+        """Return the sum of ``values`` (T, N) over all control steps after the settling time, (N,)."""
         return total(values, self.counted)
 
     def largest(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the largest of ``values`` (T, N) over all control steps that metrics use, (N,)."""
+        """Return the largest of ``values`` (T, N) over all control steps after the settling time, (N,)."""
         return largest(values, self.counted)
 
     def height_error(self) -> torch.Tensor | None:
@@ -105,7 +105,7 @@ class Motion:
 
 
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
-    """Return whether each robot survived until the end and until ``moments``, s, and its time of failure; (N,) each.
+    """Return each robot's time of failure, and whether it survived until the end and until each of ``moments``, s.
 
     For an episode without a failure, ``time_to_failure_s`` is the episode length. The mean of ``time_to_failure_s`` is
     a lower bound of the true mean time to failure.
@@ -123,8 +123,8 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 def drift(made: Trajectories, settle_s: float) -> Columns:
     """Return the drift of each robot from its pose at the end of the settling time; (N,) each.
 
-    ``drift_max_m`` is max‖xy - xy(settle)‖. ``drift_speed_m_s`` is the norm of the least-squares slope of xy over time.
-    ``yaw_drift_rad`` is max|yaw - yaw(settle)|, and ``yaw_drift_rad_s`` is the absolute slope of the yaw.
+    ``drift_max_m`` is the largest horizontal distance from the settled position, and ``yaw_drift_rad`` is the largest
+    angle from the settled yaw. ``drift_speed_m_s`` and ``yaw_drift_rad_s`` are least-squares slopes over time.
     """
     counted = made.counted(settle_s)
     from_there = made.pos[..., :2] - at(made.pos[..., :2], counted)
@@ -193,10 +193,10 @@ def errors(made: Trajectories, settle_s: float) -> Columns:
 def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
     """Return the steady-state velocity errors, and whether they are within the tolerance band; (N,) each.
 
-    ``off_<axis>`` is the absolute error of the mean velocity as a share of the command. For a zero command,
-    ``off_<axis>`` is a share of the grid's smallest nonzero command. After a fall, ``off_<axis>`` is inf. ``in_band``
-    is 1 if the errors of both axes are at most ``options.band``, else 0. ``sign_<axis>`` is 1 if the robot did not fall
-    and moves in the commanded direction, else 0.
+    ``off_vx`` and ``off_wz`` are the absolute errors of the mean forward speed and the mean yaw rate as shares of the
+    command; inf after a fall. For a zero command, the errors are shares of the smallest nonzero command.
+    ``in_band`` is 1 if ``off_vx`` and ``off_wz`` are at most ``options.band``, else 0. ``sign_<axis>`` is 1 if the
+    robot did not fall and moves in the commanded direction, else 0.
     """
     found: Columns = {}
     good = ~made.fell
@@ -220,9 +220,9 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     * ``stop_s``: after the step -c → 0, the time until the speed stays below the band;
     * ``stop_distance``: distance after that step along the previous heading, m, or the turned angle, rad.
 
-    ``asked`` is the velocity command c of each episode, (N, 3). Columns of the stop are NaN if the robot did not drive
-    as commanded before the stop. ``<answer>_did`` is 1 if the time in the column ``<answer>`` exists, else 0. The names
-    of columns end in ``_wz`` for turning and in ``_vx`` for driving.
+    ``asked`` is the velocity command c of each episode, (N, 3). ``stop_s`` and ``stop_distance`` are NaN if the robot
+    did not drive as commanded before the stop. A column such as ``settle_did`` is 1 if the time ``settle_s`` is not
+    NaN, else 0. The names of columns end in ``_wz`` for turning and in ``_vx`` for driving.
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
@@ -244,7 +244,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        # The displacement since the stop command, m or rad, (T, N), is positive if the robot moves on.
+        # The displacement since the stop command, m or rad, (T, N), is positive in the direction before the stop.
         heading = at(yaw, windows[2])
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()

@@ -23,7 +23,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 
 class HeldCommand:
-    """Replaces a velocity command's random draws by fixed values. Raises ConfigError for other kinds of terms."""
+    """Replaces the random draws of a velocity command by fixed values; raises ConfigError for other commands."""
 
     def __init__(self, env: Env, name: str) -> None:
         term = env.command_manager.get_term(name)
@@ -53,7 +53,7 @@ Policy = Callable[[Mapping[str, Any]], torch.Tensor]
 Tell = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 
-# The reasons for which an evaluation ends episodes, in addition to the task's terminations.
+# An evaluation ends an episode if the robot tilts too far, or if a state or an action is not finite.
 FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"
 
 
@@ -128,7 +128,7 @@ class Rollout:
         return made
 
     def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the mask of the episodes that failed in the last step, and the failures' indices in ``endings``."""
+        """Return the mask of the episodes that failed in the last step, and the causes as indices in ``endings``."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
         # If a simulation state is NaN or inf, the termination manager ends the episode without a termination term.

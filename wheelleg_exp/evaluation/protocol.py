@@ -41,12 +41,12 @@ class Subject:
     tell: Tell | None = None
 
     def cfg(self, table: Scenarios) -> dict[str, Any]:
-        """Return the config section ``env`` for the episodes of a scenario table."""
+        """Return the config section ``env`` with one environment for each episode of a table of test scenarios."""
         protocol = self.protocol
         return evaluation_cfg(self.env_cfg, protocol, table.size, table.horizon_s, protocol.ground)
 
     def rollout(self, table: Scenarios, cfg: Mapping[str, Any]) -> Rollout:
-        """Build the environment for the episodes of a scenario table."""
+        """Build an environment that simulates all episodes of a table of test scenarios in parallel."""
         return Rollout(build(cfg, self.mjcf, self.seed), table, self.protocol)
 
     def teller(self, test: str) -> RolloutTell | None:
@@ -189,10 +189,10 @@ def _numbers(columns: Columns) -> dict[str, Array]:
 
 
 def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
-    """Return columns with the identity, the command, and the cause of the end of each episode."""
+    """Return columns with the test, the number, the command, and the cause of the end of each episode."""
     table = rollout.scenarios
     cell = table.cell_of()
-    # Episodes with command steps start with a zero command, so the second command identifies the episode.
+    # In the step test, every episode starts with a zero command, so store the second command of the episode.
     commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {

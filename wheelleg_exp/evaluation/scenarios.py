@@ -17,7 +17,7 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Scenarios:
-    """A table of scenarios with one episode per row. Episodes of one cell (row of ``commands``) have equal commands.
+    """A table of scenarios with one episode per row. Episodes of one cell (row of ``cells``) have equal commands.
 
     ``times`` (K,) are the start times of the K successive commands, s, and the first start time is 0. ``cells`` (C, K,
     3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the C cells
@@ -66,7 +66,7 @@ def walking(options: Walk) -> Scenarios:
 
 
 def stepping(options: Steps) -> Scenarios:
-    """Return a table of episodes with the command sequence 0, c, -c, 0, for each speed c of both axes."""
+    """Return a table of episodes with the command sequence 0, c, -c, 0, for each forward speed and each yaw rate c."""
     forward = [(float(x), 0.0, 0.0) for x in options.lin_vel_x]
     turning = [(0.0, 0.0, float(z)) for z in options.ang_vel_z]
     cells = tuple((ZERO, c, (-c[0], 0.0, -c[2]), ZERO) for c in (*forward, *turning))

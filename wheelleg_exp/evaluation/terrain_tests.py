@@ -2,7 +2,7 @@
 
 In the test ``terrain``, each robot drives straight on one terrain tile of a given kind and level. In the test
 ``strip``, each robot drives from level ground over a strip of rough ground to level ground. The test ``strip`` measures
-the motion before, on, and behind the strip.
+the motion of each robot before, on, and behind the rough ground.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # The start area does not grow with the terrain tile, because the floor of a pit does not grow.
+    # On a larger tile, the start window keeps its size in m, because the floor of a pit keeps its size as well.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -122,10 +122,10 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 
 
 class Phases(NamedTuple):
-    """Masks (T, N) of the steps in which each robot is before, on, and behind the rough strip.
+    """Masks (T, N) of T control steps in which N robots are before, on, and behind a strip of rough ground.
 
-    A robot that rolls back over an edge of the rough strip does not return to the phase before this edge. ``before``
-    covers the last ``quiet_s`` seconds before the rough strip, in episodes whose robot reaches the strip.
+    A robot that rolls back onto or off the strip of rough ground does not return to the earlier phase. ``before``
+    covers the last ``quiet_s`` seconds before a robot reaches the strip of rough ground.
     """
 
     before: torch.Tensor
@@ -134,7 +134,7 @@ class Phases(NamedTuple):
 
 
 def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
-    """Return masks of the steps before, on, and behind the rough strip, by the x coordinate of the root link."""
+    """Return masks of the control steps in which each robot's root link is before, on, and behind rough ground."""
     x, alive = made.pos[..., 0], made.alive
     come = (alive & (x >= options.before)).cummax(dim=0).values
     gone = (alive & (x > options.before + options.length)).cummax(dim=0).values
@@ -145,11 +145,11 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 
 
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
-    """Return columns (N,) that describe how each robot crosses the rough strip; NaN for a robot that did not reach it.
+    """Return columns (N,) on how each robot crosses a strip of rough ground; NaN for a robot that does not reach it.
 
     The function ``ways`` defines the columns ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x
     - c, where c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between a robot's pitch and its
-    mean pitch before the rough strip. The mean pitch is subtracted from the pitch, because robots balance at different
+    mean pitch before the rough ground. The mean pitch is subtracted from the pitch, because robots balance at different
     pitches. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing over the next
     ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most ``quiet_floor``.
     ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.

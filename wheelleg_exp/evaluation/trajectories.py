@@ -27,7 +27,7 @@ class EffortMeter(SensorBase):
     torque I_a q̈ that only accelerates the armature, and whose work is exactly the armature's kinetic energy.
 
     An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. A torque below the
-    share ``deadband`` of the effort limit has no sign. ``dt`` is the length of a physics step, s. ``gross``, ``net``,
+    share ``deadband`` of the limit causes no sign change. ``dt`` is the physics step, s. ``gross``, ``net``,
     and ``positive`` are sums of work over a control step, J, (N,), and ``peak`` is the largest positive power of all
     joints, W, (N,). For each joint (N, J), ``saturated`` is the number of physics steps at the effort limit,
     ``squares`` is the sum of squared torques, and ``sign_changes`` counts the changes of the torque's sign.
@@ -100,7 +100,7 @@ class EffortMeter(SensorBase):
 
 @dataclass
 class Trajectories:
-    """T control steps of N episodes, in SI units and radians. Values after episodes end are undefined.
+    """The motion of N episodes over T control steps, in SI units and radians. Values after episodes end are undefined.
 
     ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
     root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
@@ -116,7 +116,7 @@ class Trajectories:
     height: torch.Tensor  # (T, N)
     roll: torch.Tensor  # (T, N)
     pitch: torch.Tensor  # (T, N)
-    yaw: torch.Tensor  # (T, N), from -pi to pi
+    yaw: torch.Tensor  # (T, N), ±π
     vel: torch.Tensor  # (T, N, 3)
     ang: torch.Tensor  # (T, N, 3)
     command: torch.Tensor  # (T, N, 3)
@@ -217,7 +217,7 @@ class Trajectories:
 
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the mean of ``values`` (T, N, ...) over the steps in ``counted`` and trailing axes, (N,); or NaN."""
+    """Return the mean of ``values`` (T, N, ...) over trailing axes and counted steps, (N,); NaN without such steps."""
     # Sum in float64, because a float32 sum over a long episode loses precision.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
@@ -226,7 +226,7 @@ def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
 
 
 def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the RMS of ``values`` (T, N, ...) over the steps in ``counted`` and trailing axes, (N,); or NaN."""
+    """Return the RMS of ``values`` (T, N, ...) over trailing axes and counted steps, (N,); NaN without such steps."""
     return mean(values.double().square(), counted).sqrt()
 
 

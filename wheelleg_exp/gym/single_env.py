@@ -62,8 +62,8 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
         """Advance the environment by one control step with a raw action (A,).
 
-        If a reward or the physics became NaN or inf, the episode fails with a reward of 0, and ``non_finite`` in the
-        returned info names the term.
+        If a reward or the physics becomes NaN or inf, the episode fails with a reward of 0, and ``non_finite`` in the
+        returned info lists the config keys of the failed terms.
         """
         raw = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
         observations, reward, terminated, truncated, extras = self.env.step(raw)

@@ -1,4 +1,4 @@
-"""Build a task's environment, its Gymnasium spaces, and its images."""
+"""Build a task's environment, define the environment's Gymnasium spaces, and render images of the environment."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ _SIZE_PX = (16, 4096)
 
 
 class Pictures:
-    """Renders images of environments one by one; their states do not change.
+    """Renders images of environments one by one, without a change to the states of the environments.
 
     Images have ``width`` x ``height`` pixels; the render mode None means that no images are rendered.
     """

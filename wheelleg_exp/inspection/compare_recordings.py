@@ -1,4 +1,4 @@
-"""Compare two recordings: equal entities, the first difference, and its size."""
+"""Compare two rerun recordings: find equal entities, and the first and the largest difference of each number."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class RecordingComparison:
     """The result of a bitwise comparison of two rerun recordings.
 
     ``only_first`` and ``only_second`` are the paths of rerun entities that only one of the two recordings contains.
-    ``numbers`` are the recorded numbers that differ, in the order of the control step at which they first differ.
+    ``numbers`` are the recorded numbers that differ between the two recordings, sorted by the first different step.
     """
 
     equal: list[str]

@@ -26,7 +26,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 LONGEST = 2000
 DEEPEST = 60
-_SHOWN = 120  # The largest number of characters of a condition in an error message.
+_SHOWN = 120  # An error message shows at most this number of characters of a condition.
 _Operators = dict[type, Callable[[Any, Any], Any]]
 _COMPARE: _Operators = {
     ast.Lt: operator.lt,
@@ -157,8 +157,8 @@ def _wrong(text: str, reason: str) -> WheellegError:
 class Hit:
     """Consecutive recorded frames in which a condition is true.
 
-    ``around`` contains the frames of a hit and the requested frames before and after the hit. ``around`` is None if no
-    frames before and after a hit were requested.
+    ``around`` contains the frames in which the condition is true, and the requested frames before and after them.
+    ``around`` is None if only frames in which the condition is true were requested.
     """
 
     first: Moment
@@ -177,12 +177,12 @@ def find_hits(
 ) -> list[Hit]:
     """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
-    ``columns`` are the names of the numbers in ``Hit.around``, by default the numbers in the condition. ``around`` is
-    the length of time before and after a hit that ``Hit.around`` covers, even if it is outside the selection.
+    ``columns`` are the names of the numbers in the tables ``Hit.around``, by default the numbers in the condition.
+    ``around`` is the additional time before and after a true condition, which can be outside ``selection``.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all recorded rows of an environment, because frames before and after a hit can be outside the selection.
+    # Read all recorded rows, because the frames before and after a true condition can be outside ``selection``.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

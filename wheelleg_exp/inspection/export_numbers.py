@@ -116,7 +116,7 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
 
 
 def _file_name(group: str) -> str:
-    # Escape the group's name, because a group in another program's recording can have any name, even a path.
+    # Escape the name of a group of numbers, because another program's recording can use any name, even a path.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 

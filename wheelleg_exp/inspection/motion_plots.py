@@ -40,7 +40,7 @@ def tracking(source: Source) -> list[Panel]:
 def joints(source: Source) -> list[Panel]:
     """Return plot panels of each joint's motion with its target, and of each joint's effort with its limit.
 
-    For a training, the panels show only the last recorded sequence of control steps (sample).
+    For a training, the plot panels show only the last sequence of consecutive recorded control steps.
     """
     panels: list[Panel] = []
     for joint in source.below("joints"):
@@ -58,7 +58,7 @@ def joints(source: Source) -> list[Panel]:
 def contact_forces(source: Source) -> list[Panel]:
     """Return plot panels of the contact force on each body that had contact.
 
-    For a training, the panels show only the last recorded sequence of control steps (sample).
+    For a training, the plot panels show only the last sequence of consecutive recorded control steps.
     """
     panels = []
     for sensor in source.below("contacts"):

@@ -1,4 +1,4 @@
-"""Data for plots: the numbers of a recording by entity, cut into samples and episodes."""
+"""Provide the numbers of a recording for plots, by rerun entity, and find recorded sequences of control steps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Series:
 
     @property
     def first(self) -> Numbers:
-        """The values of the first number in a series, (n,)."""
+        """The first column of the array ``values``, (n,)."""
         return self.values[:, 0]
 
 
@@ -51,7 +51,7 @@ class Series:
 class Sample:
     """Consecutive recorded control steps.
 
-    ``iteration`` is the training iteration at the sample's first control step, or None.
+    ``iteration`` is the training iteration at the control step ``first``; None if no training was recorded.
     """
 
     first: int
@@ -112,7 +112,7 @@ class Source:
         return None
 
     def series(self, entity: str) -> Series:
-        """Return the numbers of a rerun entity. Raise RunDirectoryError if the selected rows contain no numbers."""
+        """Return the selected numbers of a rerun entity; raise RunDirectoryError if the selection has no numbers."""
         found = self._series(entity)
         if not found.values.size:
             raise RunDirectoryError(f"the selection contains no row of '{entity}' in '{self.recording.path}'")
@@ -129,7 +129,7 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return a rerun entity's numbers in the plotted environment; None if the selected rows contain no numbers."""
+        """Return the selected numbers of a rerun entity; None if the selection has no numbers."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
@@ -148,7 +148,7 @@ class Source:
 
     @property
     def is_training(self) -> bool:
-        """Whether a training wrote a recording."""
+        """Whether a training wrote the recording."""
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:

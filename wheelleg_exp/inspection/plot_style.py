@@ -28,7 +28,7 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
 INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
 FAILED = "#C2410C"
 
-# Colours for progress from pale (early) to dark (late), which are readable on white paper and in grey print.
+# This colour map goes from pale to dark, so that plots are readable on white paper and in grey print.
 PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35

@@ -24,7 +24,7 @@ QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
 @dataclass(frozen=True)
 class Moment:
-    """A moment: control step, simulated time in s, training iteration, and environment; None if unknown."""
+    """The control step, simulated time in s, training iteration, and environment of a recorded row; None if unknown."""
 
     step: int | None
     time_s: float | None
@@ -145,7 +145,7 @@ class View:
         return np.concatenate(parts) if parts else np.empty(0)
 
     def moment(self, group: str, row: int) -> Moment:
-        """Return the control step, simulated time, iteration, and environment of a row in the result of ``values``."""
+        """Return the control step, simulated time, iteration, and environment of a row in the result of ``column``."""
         for frames in self._all(group):
             if row < len(frames):
                 return frames.moment(row)
@@ -153,7 +153,7 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list]:
-        """Return the static data of a rerun entity of the first selected environment, by component."""
+        """Return the components of a rerun entity that have no time (static), in the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
@@ -171,7 +171,7 @@ _SHOWN = 12
 
 
 def find_number(recording: Recording, name: str, env_id: int | None = None, key: str = "--term") -> Number:
-    """Return the recorded number with the given name. Raise WheellegError for an unknown name."""
+    """Return the recorded number with the given name; raise WheellegError if no recorded number has this name."""
     numbers = recording.all_numbers(env_id)
     for word in (name, name.strip("/").replace("/", ".")):
         if word in numbers:
@@ -186,7 +186,7 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
 
 
 def frames_for(recording: Recording, names: Iterable[str], selection: Selection, key: str = "--term") -> list[Frames]:
-    """Return the selected rows of the numbers ``names``, for each selected environment."""
+    """Return the selected rows of the recorded numbers with the given names, for each selected environment."""
     words, found = list(dict.fromkeys(names)), []
     for env_id in selection.env_ids(recording):
         numbers = [find_number(recording, name, env_id, key) for name in words]
@@ -223,7 +223,7 @@ def units(recording: Recording, names: Iterable[str], env_id: int | None = None)
 
 
 def term_statistics(recording: Recording, names: Iterable[str], selection: Selection) -> dict[str, Statistics]:
-    """Return statistics of the numbers ``names`` over the selected rows of all selected environments."""
+    """Return the statistics of each recorded number in ``names``, over the selected rows of all environments."""
     return {name: _statistics(recording, name, selection) for name in names}
 
 

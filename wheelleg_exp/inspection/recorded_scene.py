@@ -99,9 +99,9 @@ class Arrows:
 class Motion:
     """The recorded poses of the robot's bodies in each of n frames.
 
-    The attributes are control steps (n,), times in s (n,), training iterations (n,) or None, positions of B bodies in m
-    (n, B, 3), and orientations as wxyz (n, B, 4). ``commands`` maps each component of the velocity command to an array
-    (n,).
+    ``step``, ``time`` (s), and ``iteration`` (None without a training) have one value per frame, (n,). ``pos`` are the
+    positions of B bodies in m, (n, B, 3), and ``quat`` are the orientations of B bodies as wxyz, (n, B, 4).
+    ``commands`` maps each component of the velocity command to an array (n,).
     """
 
     step: NDArray[np.int64]
@@ -169,7 +169,7 @@ def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
 
 
 def _root(source: Source, names: list[str]) -> int:
-    """Return the index of the robot's base body, from the recorded properties or else from the recorded height."""
+    """Return the index of the recorded base body, or else of the body whose height is nearest to the base height."""
     known = _property(source, "root")
     if known and str(known[0]) in names:
         return names.index(str(known[0]))

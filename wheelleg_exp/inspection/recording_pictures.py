@@ -26,7 +26,7 @@ _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 _FINER = 2  # Pictures are drawn at twice their size and then reduced (supersampling), to avoid jagged edges.
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # Lengths of the shortest and the longest arrow, as shares of the robot's height.
+_SHORTEST, _LONGEST = 0.02, 1.2  # The shortest and the longest arrow have these lengths, in robot heights.
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ def scenery(
 ) -> Scenery:
     """Return the drawable scene and the motion of one recorded environment.
 
-    By default, ``env`` is the environment in which the recorded number ``at`` was nonzero first, or else the first
-    environment. If ``iteration`` is given, only this training iteration is searched for a nonzero ``at``.
+    If ``at`` names a recorded number, the default of ``env`` is the environment in which this number was nonzero first,
+    else the first environment. ``iteration`` restricts the search for nonzero numbers to one training iteration.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -77,11 +77,11 @@ def screenshot(
     """Write a picture of the robot atomically and return the picture's simulated time, s.
 
     ``time_s`` is the simulated time of the picture, s, from the start of the recording or of the training iteration
-    ``iteration``. ``at`` is the time as text: ``1.5s``, ``400ms``, ``90steps``, or a number such as
-    ``terminations.base_contact`` for the first time at which the number is nonzero. By default, ``at`` is the middle of
-    the training iteration, or else of the last recorded sequence. By default, ``env`` is the environment in which the
-    number ``at`` was nonzero first, or else the first one. ``screenshot`` raises WheellegError for an invalid time,
-    picture size, or path.
+    ``iteration``. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a
+    recorded number, such as ``terminations.base_contact``, the picture shows the first time at which this number is
+    nonzero. Without a time, the picture shows the middle of the training iteration ``iteration``, or else of the last
+    recorded sequence of control steps. The default of ``env`` is the environment in which the number ``at`` was nonzero
+    first, else the first environment. ``screenshot`` raises WheellegError for an invalid time, picture size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -184,7 +184,7 @@ def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment in which the number ``at`` is nonzero first; None if ``at`` is a time or always 0."""
+    """Return the environment in which the number named ``at`` is nonzero first; None for a time or a constant 0."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}

@@ -31,7 +31,7 @@ _STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
 
 @dataclass(frozen=True)
 class Plot:
-    """A default figure: its name, its title, and a function that returns its panels, empty without data.
+    """A predefined plot: its name, its title, and a function that returns the plot's panels (none without data).
 
     ``is_of_all`` is true if a figure shows training scalars, which cover all environments. ``is_of_last`` is true if a
     figure shows only a training's last recorded sequence of control steps (sample).
@@ -44,7 +44,7 @@ class Plot:
     is_of_last: bool = False
 
     def heading(self, source: Source) -> str:
-        """Return a figure's title, with the environment or the sample if the recording contains several."""
+        """Return a plot's title, which can name the plotted environment and the first plotted training iteration."""
         is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
@@ -113,8 +113,8 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    If ``terms`` is empty, the purpose of the recordings determines the recorded numbers. ``overlay`` raises
-    RunDirectoryError if the recordings have no number in common.
+    If ``terms`` is empty, the panels show training curves if all recordings are of trainings, else the robot's motion.
+    ``overlay`` raises RunDirectoryError if ``terms`` is empty and the recordings have no numbers for default panels.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
@@ -126,7 +126,7 @@ def overlay(
         common = [f"{TRAINING}/{key}" for key in plots_training.CURVES if not key.startswith("Perf/")]
     panels = [panel for term in common for panel in _overlaid(sources, term, small=True)]
     if not panels:
-        raise RunDirectoryError("the recordings have no number in common that a plot could show")
+        raise RunDirectoryError("the recordings contain none of the numbers that a default plot shows")
     return tile(panels)
 
 
@@ -136,7 +136,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def require_path(path: Path) -> str:
-    """Return the image format for a new file. Raise WheellegError if the file exists or its suffix is unknown."""
+    """Return the image format of a new picture; raise WheellegError if ``path`` exists or has an unknown suffix."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in KINDS:
         raise WheellegError(f"'{path}' has no plot suffix", expected="a name that ends with .png, .svg or .pdf")

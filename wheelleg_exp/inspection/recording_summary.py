@@ -1,4 +1,4 @@
-"""Summary of a recording: its parts, episodes, measures, and the trends of its training."""
+"""Summarize a recording: its entities, its episodes, statistics of the robot's motion, and training scalars."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Trend:
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample: the episodes of all recorded environments that were recorded in one part of a training.
+    """Statistics of the episodes of all environments in one sample; a training is recorded in parts, called samples.
 
-    ``iteration`` and ``first_step`` belong to a sample's first recorded frame, ``last_iteration`` and ``last_step`` to
-    its last frame. ``episodes`` counts the complete episodes, and ``cut`` counts the incomplete episodes. ``survival``
-    is the share of the complete episodes that reached the time-out. Averages are over complete episodes, or None.
+    ``iteration`` and ``first_step`` describe the first recorded frame, ``last_iteration`` and ``last_step`` the last
+    recorded frame. ``episodes`` counts complete episodes, ``cut`` counts incomplete episodes. ``survival`` is the share
+    of complete episodes that reached the time-out. The two means cover complete episodes (None without any).
     """
 
     iteration: int
@@ -78,10 +78,10 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 
 
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
-    """Group the recorded episodes of a training into samples. ``longest`` is the maximum episode length, steps.
+    """Group the recorded episodes of a training by recorded part. ``longest`` is the maximum episode length, steps.
 
-    A sample of an environment starts with its next episode, so the first episodes of all environments in a sample start
-    within ``longest`` steps.
+    In each recorded part, the recording of an environment starts with the environment's next episode. So the first
+    recorded episodes of all environments in one part start within ``longest`` control steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -123,7 +123,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Part:
-    """The content of all environments below one path: its number of entities and rows."""
+    """The numbers of rerun entities and of recorded rows below one entity path, for all environments together."""
 
     name: str
     entities: int
@@ -132,7 +132,7 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Statistics of episodes, which except for the first four counts cover only complete episodes.
+    """Statistics of recorded episodes; all attributes from ``failed`` on cover only complete episodes.
 
     ``begun_before`` is the number of episodes that were running when recording started. ``unfinished`` is the number of
     episodes that were running when recording paused or stopped. In ``ended_by``, an episode with two simultaneous
@@ -156,9 +156,9 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None for a recording that another program wrote. ``sample`` is the last sample (recorded sequence) of
-    a training with a complete episode, and all statistics cover ``sample``. If the user selected rows, or if no
-    training was recorded, ``sample`` is None and all statistics cover the selected rows. ``frames`` contains the number
+    ``purpose`` is None for a recording that another program wrote. For a training, ``sample`` is the last recorded part
+    with a complete episode, and all statistics cover this part. If the user selected rows, ``sample`` is None, and all
+    statistics cover the selected rows. If no training was recorded, ``sample`` is None. ``frames`` contains the number
     of frames that the statistics cover and the number of all recorded frames. ``notes`` are messages about the
     recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
     roll, and pitch (rad).
@@ -195,8 +195,8 @@ class Summary:
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
     """Return the summary of a recording, in which data that was not recorded is None or an empty list.
 
-    Statistics cover the selected rows. The default selection is all rows, or, for a training, the last sample (recorded
-    sequence). The summary's list of contents, samples, and training scalars always cover the whole recording.
+    Statistics cover the selected rows. Without a selection, statistics of a training cover only the last recorded part
+    (``Summary.sample``), but the training scalars and the lists of entities and parts cover the whole recording.
     """
     with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))
@@ -240,7 +240,7 @@ def _summary(chosen: View) -> Summary:
 
 
 def episode_figures(found: list[Episode]) -> EpisodeFigures:
-    """Return the figures of episodes."""
+    """Return statistics of recorded episodes, such as the share of episodes that reached the time-out."""
     kept = whole(found)
     outcomes = Counter(episode.outcome for episode in kept)
     return EpisodeFigures(

@@ -54,8 +54,8 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     """Return the rerun recording that a command-line argument (run or file) names.
 
     The argument is a recording's file, a folder with a recording such as ``<run>/play/<time>``, or a run: its path, its
-    id, or ``latest``. For a run, ``find_target`` returns the recording of the training, or, if ``play`` is true, of the
-    newest play.
+    id, or ``latest``. For a run, ``find_target`` returns the recording of the training. If ``play`` is true, the result
+    is the newest recording that ``wheelleg play`` made of the run.
     """
     path = Path(word)
     if path.exists() and not names_a_run(word):
@@ -74,7 +74,7 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     plays = sorted(path for path in run.play.glob(f"*/{RECORDING}") if path.is_file())
     if not plays:
         expected = f"one made by 'wheelleg play {run.id}'"
-        raise RunDirectoryError(f"the run '{run.id}' has no recording of a play", key="--play", expected=expected)
+        raise RunDirectoryError(f"run '{run.id}' has no recording by 'wheelleg play'", key="--play", expected=expected)
     return Target(plays[-1], run)
 
 

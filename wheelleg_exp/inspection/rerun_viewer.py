@@ -39,7 +39,7 @@ _CAUSES = (
     "panic",
     "error",
     "failed",
-)  # the words in a line with which rerun's viewer reports a failure
+)  # A line with one of these words reports why rerun's viewer failed.
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -256,7 +256,7 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, rerun's viewer answers and then stops.
+            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, rerun's viewer starts, but soon exits.
                 process.wait(_ENDING_S)
             if process.returncode is not None:
                 raise _no_graphics(log) from error

@@ -27,7 +27,7 @@ class Length:
     is_steps: bool
 
     def steps(self, step_dt: float | None) -> int:
-        """Convert the length of time to a rounded number of control steps of ``step_dt`` seconds."""
+        """Return a length of time as a rounded number of control steps, each of ``step_dt`` seconds."""
         if self.is_steps:
             return round(self.value)
         if not step_dt:
@@ -50,8 +50,8 @@ def parse_length(text: str, key: str) -> Length:
 class Selection:
     """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
-    An attribute that is None does not restrict the selection. The bounds of the time are moved to the nearest control
-    step, so that users can enter rounded times.
+    An attribute that is None does not restrict the selection. Bounds ``begin`` and ``end`` in seconds are moved to the
+    nearest control step, so that users can enter rounded times.
     """
 
     env_id: int | None = None
@@ -105,7 +105,7 @@ def require_order(selection: Selection) -> None:
     """Raise WheellegError if the end of a selection is before its start."""
     begin, end = selection.begin, selection.end
     if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
-        raise WheellegError("the selected time ends before --from", key="--to", expected=f"{begin.value:g} or later")
+        raise WheellegError("the selected time --to is before --from", key="--to", expected=f"{begin.value:g} or later")
 
 
 def _half_step(table: pa.Table) -> float:

@@ -18,7 +18,7 @@ _SMOOTHED_FROM = 60
 _WINDOWS = 40
 _LOG_FROM = 50.0  # The axis of a curve is logarithmic if the curve's largest value is over 50 times its smallest value.
 _SHOWN_TERMS = 7
-# The training scalars of the training report, one curve each; the curves of tracking errors follow the second curve.
+# The learning curves of a training show these scalars in order, with tracking errors after the episode length.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -29,8 +29,8 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# The prefixes of training scalars that are tracking errors of commands.
-# If a training logged several of the prefixes, the training report uses only the first.
+# A training scalar whose key starts with one of these prefixes is a tracking error of a command.
+# If scalars with several of these prefixes were logged, only scalars with the first prefix are plotted.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
@@ -51,7 +51,7 @@ def endings(scalars: Scalars) -> list[Panel]:
     shown = [name for name in order if np.any(np.asarray(causes[name][1]) != 0)] or order[:1]
 
     def draw(axes: Axes) -> None:
-        # Do not stack the terms' shares, because an episode with two simultaneous terminations counts for both terms.
+        # Do not stack the shares of termination terms, because an episode that two terms end counts for both terms.
         for i, name in enumerate(shown):
             draw_curve(axes, *causes[name], colour(i), name)
         over_iterations(axes)

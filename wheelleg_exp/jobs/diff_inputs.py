@@ -35,7 +35,7 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
     """Load the two training inputs that ``wheelleg diff`` compares.
 
     Each input is a run (path, id, or ``latest``), a task, or overrides; overrides can follow a run or a task. If only
-    one of the two inputs is a run, the input that is no run gets the facts of this machine.
+    one input is a run, this machine's source code state, package versions, and hardware describe the other input.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -112,7 +112,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     def where(path: str) -> str | None:
         for text in reversed(typed):
             keys = split_path(text.lstrip("+~").split("=", 1)[0])
-            if keys and split_path(path)[: len(keys)] == keys:  # The override sets the key or its parent key.
+            if keys and split_path(path)[: len(keys)] == keys:  # An override of a config key also sets all child keys.
                 return f"override {text}"
         part, *inside = split_path(path)
         if part not in PARTS:
@@ -157,7 +157,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts that identify a run's source code; from the second git repository on, keys have numbers."""
+    """Return commit, tree, and patch hash of a run's source folders, such as ``commit (2)`` for the second folder."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
@@ -166,7 +166,7 @@ def _code(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
-    """Return the facts about this machine and the git checkout that are known before the robot is built."""
+    """Return this machine's source code state, package versions, and hardware, and the hashes of the robot's files."""
     from wheelleg_exp.asset.conversion_cache import find_extra_files, source_digest
 
     with tempfile.TemporaryDirectory() as folder:

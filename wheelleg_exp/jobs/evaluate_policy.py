@@ -150,8 +150,8 @@ def evaluate_reference(
 ) -> Evaluated:
     """Evaluate the reference controller on a run's robot and task, and save the result in the run directory.
 
-    ``evaluate_run`` explains the arguments of this function. The function raises ConfigError if the reference
-    controller cannot balance the robot.
+    ``evaluate_run`` explains the arguments of ``evaluate_reference``. ConfigError means that the reference controller
+    (LQR) cannot balance the robot.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -192,7 +192,7 @@ def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, tell
 
 
 def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
-    """Return a maker of the checkpoint's policy for an environment: its mean action, clipped as in training."""
+    """Return a function that builds, for an environment, a policy with the checkpoint's clipped mean action."""
 
     def make(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
         set_threads(agent, env.scene.sim.nthread)
@@ -285,7 +285,7 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True)
 class Compared:
-    """The result of a comparison: every metric over the runs, and the differences from the other side."""
+    """The result of a comparison of runs: each metric over all runs, and differences from a second group of runs."""
 
     folder: Path
     seeds: list[OverSeeds]
@@ -310,7 +310,7 @@ def compare(
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # Count only trained runs, because the reference controller has no training seed.
+    # Count the training seeds of each side; the reference controller (LQR), which is not trained, has no seed.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)
@@ -342,7 +342,7 @@ def group_name(made: Sequence[Evaluated]) -> str:
 
 
 def display_name(made: Evaluated) -> str:
-    """Return the name of an evaluation in a table: the run's id, or the reference's name."""
+    """Return the name of an evaluation in a table: the id of the run, or the name of the reference controller."""
     return made.run.id if made.checkpoint is not None else f"the {made.content['policy']}"
 
 

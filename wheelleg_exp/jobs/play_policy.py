@@ -80,8 +80,8 @@ def prepare_policy(
 ) -> RunPolicy:
     """Load a run's policy, and build an environment from the config of this run.
 
-    If ``checkpoint`` is None, the last checkpoint of the run is loaded. The function ``change`` changes the config
-    after the overrides.
+    If ``checkpoint`` is None, the last checkpoint of the run is loaded. The function ``change`` is applied to the
+    config after the overrides.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)

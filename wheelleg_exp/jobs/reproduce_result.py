@@ -32,13 +32,13 @@ _COMMAND = ("wheelleg", "results")
 class Reproduction:
     """The result of a reproduction."""
 
-    differences: list[str]  # texts about numbers that differ from the record, or empty if all numbers are bitwise equal
+    differences: list[str]  # Each text names one number that is not bitwise equal to the recorded number.
     machine: list[FactDifference]  # differences in hardware, versions, and threads that may change the result's numbers
     other_code: bool  # whether the current source files differ from those of the recorded trainings
 
     @property
     def verdict(self) -> str:
-        """A sentence that says whether the reproduction gave equal numbers."""
+        """A sentence that says whether the reproduced numbers are equal to the recorded numbers."""
         if not self.differences:
             return "reproduced to the bit" + (", on another machine" if self.machine else "")
         why = ["with other source files"] if self.other_code else []
@@ -57,10 +57,10 @@ def reproduce(
     config_dirs: Sequence[Path] = (),
     trained: dict[str, RunDirectory] | None = None,
 ) -> Reproduction:
-    """Train and evaluate the runs of a result's record again, and compare every number with the record.
+    """Repeat the trainings and evaluations of a saved result, and compare every number with the recorded number.
 
-    ``trained`` maps training recipes to finished runs, which are not trained again; the function adds new runs. ``say``
-    receives texts about the progress of the reproduction.
+    ``trained`` is a cache of finished runs by training recipe, to which ``reproduce`` adds new runs. ``say`` receives
+    texts about the progress of the reproduction.
     """
     here = [{"versions": versions(), "hardware": hardware()}]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))
@@ -95,11 +95,11 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # The units of equal numbers may differ.
+            yield from _leaf_differences(was, is_now, name)  # Units or episode counts of equal metrics can differ.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
-    """Yield the differences between a result's recorded and new networks, evaluations, and comparisons of runs."""
+    """Yield texts about networks, evaluations, and comparisons that differ from those of the recorded result."""
     equal = True
     for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
         now = parameters(made.run)

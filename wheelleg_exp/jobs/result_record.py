@@ -24,8 +24,8 @@ from wheelleg_exp.verify.run_differences import is_the_machine
 
 _MARK = "¹"
 _FOOTNOTE = (
-    f"{_MARK} marks verdicts of these runs that other seeds may not show: the 95 % interval of the difference, over"
-    " runs and episodes, holds 0."
+    f"{_MARK} marks a verdict that other training seeds may change: the 95 % interval of the metric's difference,"
+    " over runs and episodes, contains 0."
 )
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
@@ -41,16 +41,16 @@ def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]
 
 def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     about = record["about"]
-    profile = f"the robot profile `{about['profile']}`, " if about.get("profile") else ""
+    profile = f"The simulated robot has the parameter set `{about['profile']}`. " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
     scenarios = record["scenarios_sha256"][:16]
-    yield f"The evaluation used the protocol `{record['protocol']}` with the scenarios `{scenarios}`, training seeds"
-    steps = f"a physics step of {about['physics_dt_s']:.6g} s, and a control step of {about['step_dt_s']:.6g} s"
-    yield f"{seeds}, {profile}{steps}."
+    yield f"The evaluation used the protocol `{record['protocol']}`, whose commands have the SHA-256 `{scenarios}…`."
+    steps = f"a physics step of {about['physics_dt_s']:.6g} s and a control step of {about['step_dt_s']:.6g} s"
+    yield f"The evaluated policies were trained with the seeds {seeds}. {profile}The simulation had {steps}."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
-    yield f"The trainings took {times} on {', and on '.join(machines)}.\n"
+    yield f"Training the evaluated policies took {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
@@ -114,7 +114,7 @@ def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[st
         seeds = ", ".join(map(str, manifest.get("seeds") or []))
         link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
         yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
-    yield f"\n`nox -s results -- {record['name']}` repeats the trainings and compares each number exactly."
+    yield f"\n`nox -s results -- {record['name']}` trains and evaluates the runs, and checks all numbers on this page."
 
 
 def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
@@ -130,12 +130,12 @@ def _number(value: float | None, factor: float) -> str:
 
 
 FORMAT = 2
-# The keys of a run's manifest that a result stores, without keys about folders and processes of the machine.
+# ``write_results`` copies these keys of a run's manifest, which describe no folders or processes of the machine.
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# The prefixes of overrides that name folders of the machine, which a training recipe leaves out.
+# A repeated training does not need overrides with these prefixes, which name local folders or recordings.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -164,7 +164,7 @@ def write_results(
 
 
 def earlier_manifests(name: str, folder: Path) -> set[Path]:
-    """Return the manifest files that an earlier result called ``NAME`` left in the folder ``NAME/``."""
+    """Return the run manifests that an earlier ``wheelleg results NAME`` has copied into the folder ``NAME/``."""
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
@@ -179,14 +179,14 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
 def compare_with_reference(
     name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
 ) -> Compared:
-    """Compare the runs with each other and, if its evaluation is given, with the reference controller."""
+    """Compare evaluated runs with each other and, unless ``reference`` is None, with the reference controller."""
     return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
 def build_record(
     name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the record of a result; ``write_results`` explains the arguments."""
+    """Return the content of ``NAME.json``, which contains all numbers of a result that is named ``NAME``."""
     return {
         "format": FORMAT,
         "name": name,
@@ -221,17 +221,17 @@ def read_record(path: Path) -> dict[str, Any]:
         message = f"the file is damaged: {error.problem}"
         raise RunDirectoryError(message, key=str(path), expected="a result's record") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise RunDirectoryError("the file is not a result record", key=str(path), expected=_EXPECTED)
+        raise RunDirectoryError("the file is not a record of wheelleg results", key=str(path), expected=_EXPECTED)
     return record
 
 
 def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
-    """Read the manifests of the runs in a result's record, from the folder with the record's name."""
+    """Read the manifests of a result's runs, which ``write_results`` copied into the folder with the result's name."""
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
 def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Read the record and the manifests of a result; raise RunDirectoryError unless its page agrees with its record."""
+    """Read a result's numbers and run manifests; raise RunDirectoryError if ``NAME.md`` and ``NAME.json`` disagree."""
     path = folder / f"{name}.json"
     record = read_record(path)
     try:
@@ -255,19 +255,19 @@ def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
 
 
 def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Raise RunDirectoryError unless the Markdown page of a result agrees with the result's record."""
+    """Raise RunDirectoryError if a result's page ``NAME.md`` does not agree with the numbers in ``NAME.json``."""
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
         expected = "the page that wheelleg results wrote: only one of page and record was changed"
-        raise RunDirectoryError("the page does not agree with the result record", key=str(path), expected=expected)
+        raise RunDirectoryError("the result's page and the result's JSON file differ", key=str(path), expected=expected)
 
 
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A run with exact resumes equals an uninterrupted training with the same number of iterations. A run that was resumed
-    on another machine also equals one training, if both machines compute alike: the page names both machines.
-    RunDirectoryError means that no uninterrupted training can reproduce the run.
+    A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A resume on
+    another machine is also accepted, and the result's page names both machines. RunDirectoryError means that no
+    uninterrupted training can reproduce the run.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
@@ -292,7 +292,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether different hardware is the only reason why a resumed run is inexact."""
+    """Return whether new hardware is the only reason why a resumed run may differ from an uninterrupted run."""
     return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
@@ -337,7 +337,7 @@ def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
 
 
 def result_manifest(run: RunDirectory) -> dict[str, Any]:
-    """Return the part of a run's manifest that belongs into a result."""
+    """Return those entries of a run's manifest that ``write_results`` copies next to the result's numbers."""
     data = run.manifest().data
     source = data.get("source") or {}
     result = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}

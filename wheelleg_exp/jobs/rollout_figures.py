@@ -1,7 +1,7 @@
 """Figures of a rollout: survival, base height and pitch, contact forces, drift, smoothness, and motor load.
 
-Each meter measures an environment after every control step, before the environment is reset. The module
-``definitions.rollout`` defines each metric of a rollout.
+Meter classes, such as ``StandMeter``, read an environment's state after every control step, before the reset. The
+module ``definitions.rollout`` defines each metric of a rollout.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class StandFigures:
     episodes: int
     unfinished: int
     survival: float | None  # the share of all ended episodes that reached the time-out
-    settle_s: float  # the duration at the start of each episode without a measurement of height and pitch
+    settle_s: float  # Height and pitch are not measured in the first ``settle_s`` seconds of an episode.
     settled_episodes: int
     settled_steps: int
     height_rmse_m: float | None
@@ -33,7 +33,7 @@ class StandFigures:
     pitch_rms_deg: float  # against upright
     pitch_mean_deg: float
     mean_return: float | None
-    ended_by: dict[str, int]  # the number of episodes by termination, or by simultaneous terminations
+    ended_by: dict[str, int]  # the number of episodes that a termination term, or several simultaneous terms, ended
     non_finite: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -48,7 +48,7 @@ class StandFigures:
 
 
 class StandMeter:
-    """Measures how robots stand in each environment's first episode; height and pitch count after ``settle_s``, s."""
+    """Measures how robots stand in each environment's first episode; height and pitch, after ``settle_s`` seconds."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -65,7 +65,7 @@ class StandMeter:
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
-        """Measure the environments after a control step; call this method before environments are reset."""
+        """Add the heights, pitch angles, and rewards of a control step; call ``observe`` before environments reset."""
         env, now = self._env, self.running
         for env_id, keys in env.extras.get("non_finite", {"keys": {}})["keys"].items():
             if now[env_id]:
@@ -112,8 +112,8 @@ class ContactFigures:
     body: str
     mean_n: float
     max_n: float
-    contact_share: float  # the share of the counted control steps in which the link had contact
-    steps: int  # the number of counted control steps, summed over all environments
+    contact_share: float  # the share of control steps with a standing robot in which the link had contact
+    steps: int  # the number of control steps with a standing robot, summed over all environments
 
 
 class ContactMeter:
@@ -131,7 +131,7 @@ class ContactMeter:
         self._count = 0
 
     def observe(self) -> None:
-        """Measure the environments after a control step; call this method before environments are reset."""
+        """Add the contact forces of a control step; call ``observe`` before environments are reset."""
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
@@ -143,7 +143,7 @@ class ContactMeter:
             self._count += len(force)
 
     def figures(self) -> list[ContactFigures]:
-        """Return the contact forces of each link, in the order of the sensor's links; empty if no robot stood."""
+        """Return the contact forces of each link of the contact sensor, or an empty list if no robot was standing."""
         count = self._count
         if count == 0:
             return []
@@ -164,8 +164,8 @@ def _rms(values: torch.Tensor) -> float:
     return float(values.square().mean().sqrt()) if len(values) else float("nan")
 
 
-SATURATION = 0.99  # A motor torque above this fraction of its effort limit counts as saturated.
-DEADBAND = 0.001  # The sign of a torque below this fraction of the effort limit does not count.
+SATURATION = 0.99  # A motor torque of at least 99 % of its effort limit counts as saturated.
+DEADBAND = 0.001  # A torque below 0.1 % of the effort limit causes no change of the torque's sign.
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ class MotionMeter:
         self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
-        """Measure the environments after a control step; call this method before environments are reset."""
+        """Add the drift, actions, and torques of a control step; call ``observe`` before environments are reset."""
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)

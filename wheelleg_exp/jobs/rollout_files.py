@@ -31,7 +31,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
-_MAX_CHARACTERS = 400_000  # The viewer cannot show longer texts, counted in characters.
+_MAX_CHARACTERS = 400_000  # The recording viewer cannot show texts of more than 400,000 characters.
 
 
 def fenced(text: str, language: str) -> str:
@@ -181,7 +181,7 @@ def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
 
 
 def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:
-    """Write the episodes since the last call, one file per group in its subfolder (``episodes``: in ``folder``)."""
+    """Write the episodes recorded since the last call, one file per recorder group, in a subfolder of ``folder``."""
     return _write_groups(folder, env, f"{iteration:06d}.npz")
 
 
@@ -195,7 +195,7 @@ def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = 
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the dataset files of ``iteration`` and later ones, which a resume at ``iteration`` must remove."""
+    """Return the dataset files of ``iteration`` and later iterations, which a resume at ``iteration`` must remove."""
     found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 

@@ -37,7 +37,7 @@ class AgentRun:
 
     folder: Path
     recording: Path | None
-    contacts: dict[str, list[ContactFigures]]  # by sensor: the contact forces of each link while the robot stood
+    contacts: dict[str, list[ContactFigures]]  # For each contact sensor, the forces on each link of standing robots.
     figures: StandFigures  # the durations and terminations of the first episodes of all environments
     failures: FailureCount  # the episodes that ended because a number was NaN or inf
 

@@ -30,10 +30,10 @@ class Job(Protocol):
         """Return whether the job has ended, with or without success."""
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop after its current training iteration."""
+        """Ask the sweep job to stop after the job's current training iteration."""
 
     def interrupt(self) -> None:
-        """Stop the job without waiting for the end of its training iteration."""
+        """Stop the sweep job without waiting for the end of the job's training iteration."""
 
     def kill(self) -> None:
         """Kill the job."""
@@ -70,7 +70,7 @@ class LocalLauncher:
 
     def start(self, number: int, request: JobRequest) -> Job:
         """Start the child process that runs a job."""
-        del number  # The pipes of a local job identify the job.
+        del number  # The number is unused, because each child process has its own pipes.
         # Pass ``os.environ`` to the job, because libraries may have changed the C environment of this process.
         return Child(self._program, request.line(), os.environ)
 
@@ -80,7 +80,7 @@ class LocalLauncher:
 
 
 class SweepDisplay(Protocol):
-    """Shows the progress of a sweep. Each argument ``job`` is the entry of a job in the sweep's index."""
+    """Shows the progress of a sweep. The argument ``job`` is one job's dictionary from the sweep's index file."""
 
     def started(self, job: Mapping[str, Any]) -> None:
         """Show that a job started."""
@@ -211,5 +211,5 @@ class SweepRunner:
         deadline = time.monotonic() + patience_s
         while self._running and time.monotonic() < deadline:
             self._listen()
-            with contextlib.suppress(WheellegError):  # The index has already reported the error.
+            with contextlib.suppress(WheellegError):  # An error of the sweep's index must not keep jobs running.
                 self._reap()

@@ -1,6 +1,6 @@
 """Save the simulated robot in a run directory, and load the robot from a run directory.
 
-A run's folder ``asset/`` contains the robot's MJCF file and meshes, its conversion report, and copied networks.
+A run's folder ``asset/`` contains the robot's MJCF, meshes, and conversion report, and networks of earlier runs.
 ``asset.json`` contains the sha256 of each source file of the robot and of the compiled MuJoCo model.
 """
 

@@ -28,13 +28,13 @@ REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
 SOON, NOW = "soon", "now"  # the content of STOP
 _FOLDER = "jobs"
 _WAIT_S = 0.3
-_PATIENCE_S = 90.0  # The wait must be shorter than the 120 s between Slurm's warning and the end of the job.
+_PATIENCE_S = 90.0  # Wait less than the 120 s after which Slurm kills a job that was asked to stop.
 # The import path of this process before submitit or Ray changes ``sys.path``.
 _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 
 
 class QueueWorker:
-    """Runs a sweep job on a machine of the queue, which can pickle a ``QueueWorker`` because it has no attributes.
+    """Runs a sweep job on a machine of a cluster. A new ``QueueWorker`` can be pickled, because it has no attributes.
 
     The process of a job gets those environment variables of the sweep's machine that can change results. The results of
     a queued job do not depend on the environment variables of the job's machine.
@@ -283,7 +283,7 @@ class RayLauncher(Queue):
         super().__init__(folder)
         chosen = settings["ray"]
         init = {**_INIT, **chosen["init"]}
-        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Here, Ray starts a local cluster.
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Without an address, Ray starts a cluster.
             init.setdefault("object_store_memory", _OBJECT_STORE)
         try:
             if not ray.is_initialized():

@@ -20,26 +20,26 @@ from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 # The names of MKL's code branches, ordered by their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
-_in_time: list[bool] = []  # for each call of prepare_threads, whether it was early enough
+_in_time: list[bool] = []  # False if torch was imported before ``prepare_threads`` set environment variables.
 
 _STRICT = 0x10000
 _EVERYTHING = -1
 _VECTOR_STEP = 32  # One step of a vector loop in torch computes 32 numbers, which are two AVX-512 vectors.
-# The MKL branches in which the number of threads changes matrix products, even in strict mode.
+# With these values of MKL_CBWR, the number of threads changes matrix products, even with the option STRICT.
 _THREADED_BRANCHES = ("off", "compatible")
 
 
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
-    """Set torch's thread count to ``agent.torch_threads``; return facts about threads and rounding for a manifest.
+    """Set torch's thread count to ``agent.torch_threads``; return thread and rounding settings for a run's manifest.
 
     ``samples`` is the number of environment steps in one rollout; None if nothing is trained. The returned entry
-    ``independent`` is true if the thread count cannot change the training's numbers. If it is false,
+    ``independent`` is true if the thread count cannot change the training's numbers. If ``independent`` is false,
     ``dependent_because`` lists the reasons.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
         raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
-    _in_time.append(prepare_threads())  # before the first use of MKL and OpenMP
+    _in_time.append(prepare_threads())  # MKL and OpenMP read environment variables only at their first use.
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
     reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples))
@@ -62,9 +62,9 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return changed entries for the result of ``set_threads`` if bfloat16 matrix products depend on the thread count.
+    """Return the entries ``independent`` (False) and ``dependent_because`` if bfloat16 products depend on threads.
 
-    ``samples`` is the number of environment steps in one rollout. ``threads`` comes from ``set_threads``.
+    ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
     """
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
@@ -86,8 +86,8 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 def mkl_in_force() -> dict[str, Any] | None:
     """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
-    The returned branch and strict mode are None if MKL does not report them. The query fixes the mode of MKL:
-    environment variables that are set later have no effect.
+    ``branch`` and ``strict`` in the returned dictionary are None if MKL does not report its mode. After the query,
+    changes of MKL's environment variables have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None
@@ -130,8 +130,8 @@ def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
     """Return a warning about network activations whose rounding depends on the number of threads."""
-    # torch gives each thread a chunk of the numbers to compute.
-    # Scalar code, which rounds differently than vector code, computes the last numbers of a chunk that fill no vector.
+    # torch gives each thread one chunk of an array of activations.
+    # If a chunk's size is not a multiple of 32, scalar code with different rounding computes the end of the chunk.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
@@ -147,7 +147,7 @@ def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: 
 
 
 def _splits(numbers: int, threads: int) -> bool:
-    """Return whether torch splits ``numbers`` values into chunks whose size is not a multiple of ``_VECTOR_STEP``."""
+    """Return whether torch splits an array of ``numbers`` values into chunks whose size is not a multiple of 32."""
     parts = min(threads, -(-numbers // SPLIT_ABOVE))
     return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 

@@ -31,7 +31,7 @@ class JobRequest:
     kind: Literal["train", "resume", "evaluate"]
     overrides: list[str]
     config_dirs: list[str]
-    command: list[str]  # the equivalent command line, for the manifest of the run
+    command: list[str]  # The run's manifest records the wheelleg command that does the same as the request.
     digest: str = ""  # the hash of a training's config when the config was checked
     run: str = ""
     checkpoint: str = ""
@@ -94,7 +94,7 @@ def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     run_directory = RunDirectory.open(request.run, request.root)
     keep_kernels(run_directory.manifest().data.get("environment_variables") or {})
 
-    # Import the following modules after keep_kernels, because tensordict, which they import, uses MKL.
+    # Modules that import tensordict, which uses MKL, must be imported after the call of ``keep_kernels``.
     from wheelleg_exp.jobs.train.resume_training import prepare_resume
     from wheelleg_exp.jobs.train.run_training import run
 

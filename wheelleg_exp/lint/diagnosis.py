@@ -55,7 +55,7 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
 
 Drives = Mapping[str, robots.Drive | None]
 _MJCF = (".xml", ".mjcf")
-_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means that the joint is unlimited.
+_ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
@@ -126,7 +126,7 @@ def _model(source: Path) -> mujoco.MjModel:
 
 
 def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
-    """Return an ``env.robot`` section for an MJCF file. The pose is the MJCF's first keyframe, or the zero pose."""
+    """Return an ``env.robot`` section for an MJCF file, with the pose of the first keyframe or else the zero pose."""
     qpos = model.key_qpos[0] if model.nkey else model.qpos0
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     scalar = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)

@@ -1,4 +1,4 @@
-"""The report of ``check --physics``: facts about the robot, the value of each reward, and the findings of the rules."""
+"""The report of ``check --physics``: facts about the robot, the value of each reward, and findings of lint rules."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wheelleg_exp.config.checking.check_robot_names import converted
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import PHYSICS_RULES
 
-# The import of these modules registers the lint rules.
+# The import of the modules ``rules_*`` registers the lint rules.
 from wheelleg_exp.lint import rules_drives, rules_episode, rules_interface, rules_learning, rules_links, rules_shape  # noqa: F401
 from wheelleg_exp.lint.reward_tolerances import Contribution, contributions, earned_per_second
 from wheelleg_exp.lint.rule import RULES as _RULES
@@ -37,17 +37,17 @@ class PhysicsReport:
 
     @property
     def open(self) -> list[Finding]:
-        """The findings of all lint rules that ``check.silence`` in the config does not contain."""
+        """The findings of all lint rules that the config does not silence in ``check.silence``."""
         return [finding for finding in self.findings if finding.rule not in self.reasons]
 
     @property
     def silenced(self) -> list[Finding]:
-        """The findings of all lint rules that ``check.silence`` in the config contains."""
+        """The findings of all lint rules that the config silences in ``check.silence``."""
         return [finding for finding in self.findings if finding.rule in self.reasons]
 
     @property
     def unused(self) -> list[str]:
-        """The lint rules that ``check.silence`` in the config contains but that report no finding."""
+        """The lint rules that the config silences in ``check.silence``, although these rules report no finding."""
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 
@@ -98,7 +98,7 @@ def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
 
 
 def robot_facts(composed: Composed) -> RobotFacts:
-    """Return the facts about the robot of a config."""
+    """Return the measured masses, sizes, joints, and balance of the robot in a config."""
     return task_robot(composed)[1]
 
 

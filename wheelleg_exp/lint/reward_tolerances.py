@@ -1,4 +1,4 @@
-"""Compute the value of each reward term for a robot whose error equals the tolerance of the term."""
+"""Compute the value of each reward term for an acceptable error of the robot, such as a tenth of the height."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # A reward term tolerates an error of this share of the robot's height, speed, effort, or command.
-ACTION = 0.5  # A reward term tolerates this change of a raw action.
+SHARE = 0.1  # The acceptable error in a reward term, as a share of the robot's height, speed, effort, or command.
+ACTION = 0.5  # The change of a raw action that counts as acceptable in a reward term.
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -25,11 +25,11 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The reward that one term gives for a robot whose error equals the tolerance of the term.
+    """The reward of one term for an acceptable error of the robot, which is called the tolerance of the term.
 
-    ``value`` is the unweighted value of the reward term for an error equal to the tolerance; None if unknown. ``cost``
-    is the reward term's value for a robot without error, minus ``value``. If ``once`` is true, the reward is given once
-    per episode instead of at each control step.
+    ``value`` is the unweighted value of the reward term for an acceptable error of the robot; None if unknown. ``cost``
+    is the absolute change of the reward term's unweighted value from no error to an acceptable error. If ``once`` is
+    true, the reward is given once per episode instead of at each control step.
     """
 
     term: TermView
@@ -41,7 +41,7 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The value, without weight, of the reward term for a robot without any error."""
+        """The unweighted value of the reward term for a robot without tracking or posture errors."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
@@ -49,12 +49,12 @@ class Contribution:
         return self.weight * (self.value or 0.0) * step_dt
 
     def per_episode(self, case: Case) -> float:
-        """Return the reward that this term gives in a whole episode."""
+        """Return the reward that a term gives in a whole episode for an acceptable error of the robot."""
         return self.per_step(case.step_dt) * (1 if self.once else case.episode_steps)
 
 
 def contributions(case: Case) -> list[Contribution]:
-    """Return the reward that each term gives for an error equal to its tolerance."""
+    """Return the reward that each reward term gives for an acceptable error of the robot."""
     return [_contribution(case, term) for term in case.terms("rewards")]
 
 

@@ -1,4 +1,4 @@
-"""The config that a lint rule inspects, the rule's findings, the registry of rules, and rounding of advised values."""
+"""Define the input and the findings of lint rules, register lint rules, and round the values that findings advise."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ _LIBRARY = "wheelleg_exp.mdp."
 class TermView:
     """A term of the config.
 
-    ``kind`` is the name of the term's target below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. The alias of a
-    target has the ``kind`` of the original target. For a target of another package, ``kind`` is the target's full name.
+    ``kind`` is the path of the term's function or class below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. A
+    term that uses an alias has the ``kind`` of the original function. For functions and classes outside of
+    ``wheelleg_exp.mdp``, ``kind`` is the full dotted path.
     """
 
     name: str
@@ -36,8 +37,8 @@ class TermView:
 class Case:
     """A config without mistakes, and the robot of the config.
 
-    ``robot`` is None if only the measured facts about the robot are known, not its model. ``trial`` maps each reward
-    term to its mean reward per second in a simulation with random actions; None without it.
+    ``robot`` is None if the facts about the robot were measured, but the robot's model is not available. ``trial`` maps
+    each reward term to the mean reward per second in a simulation with random actions; None if no simulation ran.
     """
 
     config: Mapping[str, Any]
@@ -78,7 +79,7 @@ class Case:
         return math.ceil(round(self.episode_s / self.step_dt, 9))
 
     def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
-        """Yield the terms of a config section; if ``kinds`` is given, yield only terms whose target is in ``kinds``."""
+        """Yield the terms of a config section; with ``kinds``, only terms whose function or class is in ``kinds``."""
         for found, path, node in term_nodes(self.config):
             if found != section:
                 continue
@@ -103,7 +104,7 @@ class Case:
 
 
 def kind_of(target: str, path: str) -> str:
-    """Return the kind of a target: its module and name, without the library's prefix and inner modules."""
+    """Return the module and name of a function or class, without ``wheelleg_exp.mdp`` and its inner modules."""
     found = resolve_target(target, path)
     module, name = inspect.unwrap(found).__module__, getattr(found, "__qualname__", "")
     if module.startswith(_LIBRARY):
@@ -120,8 +121,9 @@ def largest(pair: Any) -> float:
 class Finding:
     """One implausible number in a config, with the problem and what to do.
 
-    ``figures`` are in SI units. ``advice`` contains alternative solutions, each a mapping from config keys to values.
-    Each mapping removes the finding. ``where`` is the file and line, or the override, that set the config key.
+    ``figures`` contains the numbers of the finding in SI units. ``advice`` contains alternative changes of the config,
+    each a mapping from config keys to new values that removes the finding. ``where`` is the file and line, or the
+    override, that set the config key.
     """
 
     key: str
@@ -138,13 +140,13 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A lint rule takes a case, or a case and a robot; a rule with a robot is skipped if the case has no robot.
+# A lint rule with a second parameter, the compiled robot, is skipped if ``Case.robot`` is None.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A registered lint rule; ``summary`` is the first line of the rule's docstring, and ``text`` all of it."""
+    """A registered lint rule, with the rule's docstring ``text`` and the docstring's first line ``summary``."""
 
     name: str
     summary: str
@@ -166,7 +168,7 @@ def rule(function: RuleFunction) -> RuleFunction:
     """Register a function as a lint rule; ``check.silence`` uses the name of the function."""
     name = function.__name__
     if name not in PHYSICS_RULES:
-        raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
+        raise ValueError(f"the lint rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
     text = inspect.getdoc(function) or name.replace("_", " ")  # Python with -OO removes all docstrings.
     takes_robot = len(inspect.signature(function).parameters) == 2
     RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function, takes_robot)
@@ -193,12 +195,12 @@ def at_most(value: float, digits: int = DIGITS) -> float:
 
 
 def above(value: float, digits: int = DIGITS) -> float:
-    """Return the smallest, or the next larger, number with ``digits`` digits that is above ``value``."""
+    """Return a number with ``digits`` digits that is slightly above ``value``."""
     return float(_rounded(value, digits, ROUND_FLOOR) + _last_place(value, digits))
 
 
 def below(value: float, digits: int = DIGITS) -> float:
-    """Return the largest, or the next smaller, number with ``digits`` digits that is below ``value``."""
+    """Return a number with ``digits`` digits that is slightly below ``value``."""
     return float(_rounded(value, digits, ROUND_CEILING) - _last_place(value, digits))
 
 

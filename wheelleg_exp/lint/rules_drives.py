@@ -10,10 +10,10 @@ from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
 _ARMATURE = 10.0  # The largest plausible ratio of a joint's armature to the inertia of the joint's load.
 _TRACTION = 10.0  # The largest plausible ratio of a wheel's effort limit to the torque at which the wheel slips.
-_PUSH = 0.1  # The wheels must push the robot with at least this share of its weight.
+_PUSH = 0.1  # The smallest accepted driving force of the wheels, as a share of the robot's weight.
 _RESERVE = 1.5  # The smallest accepted ratio of a drive's effort limit to the torque that holds the default pose.
 _SAG = 0.1  # The largest accepted position error of a leg joint that carries the robot's weight, rad.
-_SAMPLES = 5.0  # The time constant of a robot's fall must contain this many control steps.
+_SAMPLES = 5.0  # The smallest accepted number of control steps in the time constant of a robot's fall.
 _IMPLICIT = ("implicit", "implicitfast")
 
 
@@ -34,10 +34,10 @@ def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> t
 def armature_ratio(case: Case) -> Iterator[Finding]:
     """The armature of a joint is far larger than the inertia of the links that the joint moves.
 
-    A rotor behind a gear of ratio n acts at the joint like an inertia of n² times the rotor's inertia. For legged
-    robots, the rotor's inertia at the joint is about the link's inertia, and rarely ten times the link's inertia. A
-    robot with a larger armature cannot be built: it is slow and stable, and its policies do not transfer. Source:
-    MuJoCo documentation, XML reference, joint/armature.
+    A rotor behind a gear of ratio n acts at the joint like an inertia of n² times the rotor's inertia. In legged
+    robots, the ratio of the rotor's inertia at the joint to the link's inertia is about 1, and rarely 10. A robot with
+    a larger armature cannot be built: it is slow and stable, and its policies do not transfer. Source: MuJoCo
+    documentation, XML reference, joint/armature.
     """
     for group, joints in _groups(case).items():
         name, joint, _, ratio = _worst(joints, lambda j, _: j.armature / j.inertia if j.inertia > 0 else 0.0)
@@ -99,9 +99,9 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
 def weak_wheels(case: Case) -> Iterator[Finding]:
     """The wheel drives are too weak or too slow to balance a robot on one axle.
 
-    Wheels catch a lean if they accelerate with g times its angle: with a force below a tenth of the weight they cannot
-    catch 0.1 rad. The top speed of the wheels' rims must exceed 0.1 rad · h · p for a mass at height h that falls at
-    rate p. Source: the inverted pendulum on wheels.
+    Wheels catch a lean of 0.1 rad only if the wheels accelerate with 0.1 g, which needs a force of a tenth of the
+    weight. The top speed of the wheels' rims must exceed 0.1 rad · h · p for a mass at height h that falls at rate p.
+    Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -139,8 +139,8 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
     At rest, a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The
     effort limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must
     hold the joint within 0.1 rad of its target at an action of 0: the error is gravity's torque over kp, minus the
-    action's offset. The rule ignores joints of closed loops, because several joints of a loop share the load. Source:
-    statics, tau = -J^T F.
+    action's offset. ``effort_against_load`` ignores joints of closed loops, because several joints of a loop share the
+    load. Source: statics, tau = -J^T F.
     """
     legs = case.robot.anatomy.legs if case.robot is not None else ()
     looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
@@ -185,10 +185,11 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
     """The gains of a drive make the simulation unstable with the physics time step of the config.
 
-    For the gains kp and kd, let a = kd·dt/I and b = kp·dt²/I. An explicit drive, which computes the torque from the
-    state before the step, is stable for a < 2 and b < 4 - 2a. A drive with implicit damping is stable for b below 4 +
-    2a. I is the inertia of the joint, with armature, if all joints can move. Source: Jury's criterion on semi-implicit
-    Euler; MuJoCo documentation, Computation, "Numerical integration".
+    An explicit drive computes the torque from the state before the physics step. An explicit drive with the gains kp
+    and kd is stable for kd·dt/I < 2 and kp·dt²/I < 4 - 2·kd·dt/I (time step dt, joint inertia I). A drive with implicit
+    damping and the gains kp and kd is stable for kp·dt²/I < 4 + 2·kd·dt/I. The joint inertia I includes the armature,
+    and assumes that all joints can move. Source: Jury's stability criterion for the semi-implicit Euler method of
+    MuJoCo's documentation (Computation, "Numerical integration").
     """
     dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
     for group, joints in _groups(case).items():
@@ -213,8 +214,9 @@ def control_rate(case: Case) -> Iterator[Finding]:
     """The control rate is too low to balance the robot.
 
     The tilt of a pendulum that falls at the rate p grows by the factor e in the time 1/p. A sampled controller acts one
-    and a half control steps late on average, and that delay times p should be below a third: about five control steps
-    in 1/p. Source: Åström, "Limitations on control system performance", 2000, on delay with an unstable pole.
+    and a half control steps late on average. The time 1/p of a fall should contain about five control steps, so that
+    the controller's delay is below a third of 1/p. Source: Åström, "Limitations on control system performance", 2000,
+    on delay with an unstable pole.
     """
     balance = case.facts.balance
     if balance is None:

@@ -20,14 +20,14 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-_FIXED = ("resampling_time_range", "restitution_range")  # A random range with one of these names can have equal ends.
+_FIXED = ("resampling_time_range", "restitution_range")  # The names of random ranges whose two ends can be equal.
 
 
 @rule
 def noop_joint_reset(case: Case) -> Iterator[Finding]:
     """A reset event scales a default joint position or velocity of zero.
 
-    The event sets a joint to its default times a random factor: a default of 0 stays 0. Source: Isaac Lab 2.3.2,
+    The reset event multiplies a joint's default by a random factor, so a default of 0 stays 0. Source: Isaac Lab 2.3.2,
     ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
     """
     for term in case.terms("events", *_SCALES):
@@ -139,7 +139,7 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
 
 
 _MARGIN = 1.2  # A good policy survives slightly larger pushes than the model of an inverted pendulum predicts.
-_WEAK = 0.2  # Pushes below this share of the largest push do not test a policy.
+_WEAK = 0.2  # The smallest useful push, as a share of the largest push that the wheels can catch.
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 
@@ -148,16 +148,17 @@ _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 def push_size(case: Case) -> Iterator[Finding]:
     """A push event is too strong for any policy, or too weak to test a policy.
 
-    The largest push that wheels can catch is a/w: their acceleration, limited by friction or by the drive, over the
-    rate of the pendulum. Pushes far above a/w make every robot fall, and pushes below a fifth of a/w do not test the
-    policy. Sideways pushes in the robot's own axes are not checked: wheels cannot catch them, and the track must hold
-    the robot. Pushes along the world's y axis are checked, because the robot can turn. Source: Pratt et al., "Capture
-    point: a step toward humanoid push recovery", 2006.
+    The largest push that wheels can catch is the wheels' acceleration divided by the rate sqrt(m g h / I) of the
+    inverted pendulum. Friction or the drive limits the wheels' acceleration. Every robot falls after a push far above
+    the largest push that the wheels can catch. Pushes below a fifth of the largest push that the wheels can catch do
+    not test the policy. Pushes along the robot's own y axis are not checked, because wheels cannot catch sideways
+    pushes. Pushes along the world's y axis are checked, because a robot that has turned can roll along this axis.
+    Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
         return
-    # The largest push after which the wheels can balance the robot is a/w, in m/s.
+    # The largest push that the wheels can catch, m/s, is the wheels' acceleration divided by the pendulum's rate.
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
     spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
@@ -205,9 +206,9 @@ def wrench_size(case: Case) -> Iterator[Finding]:
 
 
 _DROP = 0.1  # The largest accepted height of a start pose above the ground, as a share of the robot's standing height.
-_GROUND = 1e-4  # A start pose at most this deep (m) inside the ground is accepted, because contacts are soft.
-_HEIGHT = 0.05  # The rewarded height may differ from the robot's standing height by this share of the standing height.
-_FALLS = 5.0  # The shortest useful episode, in time constants of the fall.
+_GROUND = 1e-4  # The largest accepted depth (m) of a start pose inside the ground, because contacts are soft.
+_HEIGHT = 0.05  # The largest accepted error of the rewarded height, as a share of the robot's standing height.
+_FALLS = 5.0  # The shortest useful episode, in time constants of a falling robot's exponentially growing tilt.
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
 # reward terms whose parameter ``threshold`` is a time in seconds and not a force
@@ -225,9 +226,9 @@ _ON_WHEELS = (
 def spawn_height(case: Case) -> Iterator[Finding]:
     """The robot starts inside the ground, or far above the ground.
 
-    The rule computes the lowest point of the default pose from the colliding shapes. If a robot starts inside the
-    ground, the contact force throws the robot into the air. A robot that starts at a height h above the ground lands at
-    the speed sqrt(2 g h). Source: kinematics.
+    ``spawn_height`` computes the robot's lowest point in the default pose from the colliding shapes. If a robot starts
+    inside the ground, the contact force throws the robot into the air. A robot that starts at a height h above the
+    ground lands at the speed sqrt(2 g h). Source: kinematics.
     """
     facts = case.facts
     clearance, limit = facts.clearance, _DROP * facts.standing_height
@@ -335,15 +336,15 @@ def _drawn_tilt(case: Case) -> float:
     return max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in ranges), default=0.0)
 
 
-_DEPTH = 0.01  # Soft contacts correct an overlap below this share of the robot's size without throwing the robot.
+_DEPTH = 0.01  # The largest depth of a robot in the ground that soft contacts correct gently, as a share of its size.
 
 
 @rule
 def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A random start state can put the robot's lowest point inside the ground.
 
-    The rule tests all combinations of the extreme start heights, rolls, pitches, and joint positions. If a robot starts
-    inside the ground, the contact force throws the robot into the air. Source: kinematics.
+    ``reset_into_ground`` tests all combinations of the extreme start heights, rolls, pitches, and joint positions. If a
+    robot starts inside the ground, the contact force throws the robot into the air. Source: kinematics.
     """
     if not robot.anatomy.floating:
         return
@@ -354,7 +355,7 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # The lint rule spawn_height reports a start at this depth inside the ground.
+        start = -case.facts.clearance  # The lint rule spawn_height reports a default pose inside the ground.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)
@@ -383,7 +384,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # Reset events rotate about fixed axes.
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # Roll and pitch rotate the base about fixed axes.
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat

@@ -13,7 +13,7 @@ from wheelleg_exp.terms.term_binding import TARGET
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
 _ABSOLUTE = "actions.JointPositionAction"
 _VELOCITY = ("actions.JointVelocityAction",)
-_TINY = 0.01  # An action of 1 should move the joint by at least this share of the joint's range.
+_TINY = 0.01  # The smallest useful motion of a joint for an action of 1, as a share of the joint's range.
 
 
 @rule
@@ -39,11 +39,11 @@ def action_scale(case: Case) -> Iterator[Finding]:
                 hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
                 advice = () if scale is None else ({key: scale},)
                 yield Finding(key, f"'{name}': {message}", hint, figures, advice)
-                break  # The rule reports only one joint of each action term.
+                break  # Report only one joint of each action term.
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return what is wrong with an action's scale, a hint (empty if a new scale is the solution), and the figures."""
+    """Return the fault of an action's scale, a hint (empty if a new scale is the solution), and the fault's numbers."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -72,7 +72,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the action scale nearest to ``unit`` that suits every joint of an action term; None if no scale does."""
+    """Return the action scale nearest to ``unit`` that all joints and drives of a term allow; None if none exists."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -149,8 +149,8 @@ def command_reach(case: Case) -> Iterator[Finding]:
 
 
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
-_SMALLEST, _LARGEST = 0.01, 10.0  # The useful range of the size of a network's inputs.
-_LOUD = 0.5  # Observation noise above this share of the signal's size hides the signal.
+_SMALLEST, _LARGEST = 0.01, 10.0  # The smallest and the largest useful absolute value of a network's inputs.
+_LOUD = 0.5  # The largest useful observation noise, as a share of the largest signal.
 # The parameters that set the size of noise (half-widths or a standard deviation), with their defaults.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
@@ -160,7 +160,7 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
     """The policy observes an unbounded angle, such as the angle of a wheel.
 
     In training, an unlimited joint turns at most at its top speed for one episode; longer runs lead to larger angles.
-    Source: arithmetic; several public wheel-legged projects omit wheel angles for this reason.
+    Source: arithmetic; several public wheel-legged projects omit the unbounded angles of wheels.
     """
     for term in case.terms("observations", *_ANGLES):
         endless = {name: joint for name, joint in case.joints(term.node).items() if not joint.limited}
@@ -180,9 +180,9 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or much smaller than 1.
 
     The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation
-    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The
-    rule ignores a network that normalises its inputs. Source: Andrychowicz et al., "What matters in on-policy
-    reinforcement learning?", 2021, on input normalisation.
+    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges.
+    ``observation_scale`` ignores networks that normalise their inputs. Source: Andrychowicz et al., "What matters in
+    on-policy reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]
@@ -227,8 +227,8 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
     """The noise of an observation has no effect, or hides the signal.
 
     Observation noise has an effect only in groups with ``enable_corruption``. Noise that is half as large as the
-    largest signal hides most of the signal. Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, on
-    corruption.
+    largest signal hides most of the signal. Source: the parameter ``enable_corruption`` of Isaac Lab 2.3.2 in
+    ``isaaclab/managers/observation_manager.py``.
     """
     for name, group in case.env["observations"].items():
         path, corrupt = f"env.observations.{name}", bool(group.get("enable_corruption", False))

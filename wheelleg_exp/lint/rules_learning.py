@@ -9,9 +9,9 @@ from typing import Any
 from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # An error equal to the tolerance must cost at least this share of a perfect robot's reward.
+_AUDIBLE = 0.01  # The smallest useful cost of an acceptable error, as a share of a perfect robot's reward.
 _OUTWEIGHS = 4.0  # The largest plausible ratio of one negative reward to the sum of all positive rewards.
-_STILL = 0.5  # A robot that does not move may earn at most this share of a tracking reward.
+_STILL = 0.5  # The largest accepted share of a tracking reward that a robot earns without motion.
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
 
@@ -27,9 +27,9 @@ def still_score(speed: float, std: float) -> float:
 def tracking_std(case: Case) -> Iterator[Finding]:
     """A tracking reward is so tolerant that a robot earns most of it without following the command.
 
-    For commands uniform in ±V, a robot that stands still earns the share sqrt(pi)/2 · erf(V/std) · std/V of the reward.
-    This share of the reward does not count commands that are exactly zero. If all commands are zero, a robot that
-    drifts with a wheel action of 1 must not earn the reward. Source: the integral of the reward's own formula.
+    For nonzero commands uniform in ±V, a robot that stands still earns the share sqrt(pi)/2 · erf(V/std) · std/V of the
+    reward exp(-error²/std²). If all commands are zero, a robot that drifts with a wheel action of 1 must earn less than
+    half of the tracking reward. Source: the integral of exp(-error²/std²) over the commands.
     """
     for term in tolerances.tracked(case):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
@@ -106,8 +106,8 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
 def reward_too_small(case: Case) -> Iterator[Finding]:
     """An error equal to the tolerance of a reward term costs almost no reward.
 
-    Reward weights are multiplied by the control time step, so the size of a weight alone is meaningless. If an error
-    equal to the tolerance costs less than 1 % of a perfect robot's reward, the noise of the return hides it. Source:
+    Reward weights are multiplied by the control time step, so the size of a weight alone is meaningless. If an
+    acceptable error costs less than 1 % of a perfect robot's reward, the noise of the return hides the cost. Source:
     Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
     """
     found = tolerances.contributions(case)
@@ -128,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest weight at which the error of a reward term costs enough; None if no weight does that."""
+    """Return the smallest weight at which an acceptable error costs 1 % of the best reward; None if none exists."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -139,9 +139,9 @@ def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
 def falling_pays(case: Case) -> Iterator[Finding]:
     """The robot earns more if it falls than if it continues the episode.
 
-    The value of continuing an episode is the sum of all reward terms at their tolerances, over the episode or the
-    discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an episode is worth less than a failure, the
-    policy learns to fall at once. Source: the discounted return of PPO, Schulman et al. 2017.
+    The value of continuing an episode is the sum of all reward terms for acceptable errors of the robot. Rewards are
+    summed over the episode or over the discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an episode
+    is worth less than a failure, the policy learns to fall. Source: the return of PPO, Schulman et al. 2017.
     """
     found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
@@ -167,8 +167,8 @@ def horizon_steps(case: Case) -> float:
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
 _DUST = 1e-9  # The relative tolerance for rounding errors in the difference 1 - gamma.
-_FALLS = 5.0  # The discount should cover this many time constants of the fall.
-_EARLY = 0.25  # The first training iterations may have at most this share in the mean of the policy's weights.
+_FALLS = 5.0  # The smallest useful discount horizon, in time constants of a falling robot's exponentially growing tilt.
+_EARLY = 0.25  # The largest accepted share of the first training iterations in the mean of the policy's weights.
 
 
 @rule
@@ -192,8 +192,9 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
     """The horizon of the discount is longer than an episode, or shorter than a fall.
 
     The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
-    longer than the episode, the agent optimises rewards that it cannot receive. A discount horizon below about five
-    time constants of the fall hides the effect of an action from the agent. Source: the discounted return.
+    longer than the episode, the agent optimises rewards that it cannot receive. If the discount's horizon is shorter
+    than a fall, the agent cannot learn which action caused the fall. A fall lasts about five time constants of the
+    robot's unstable pole. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -216,7 +217,7 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
 
 
 def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
-    """Return hint and advice: a gamma of 1 - share, if the episode is long enough."""
+    """Return a hint and, if the episode is longer than a fall, the advice to set gamma to 1 - ``share``."""
     if case.episode_s < fall:
         return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
@@ -227,16 +228,17 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 def late_average(case: Case) -> Iterator[Finding]:
     """The mean of the policy's weights depends too much on the start of the training.
 
-    In the first n iterations, the mean m of the weights w covers all iterations; after that, each iteration updates the
-    mean by m += (w - m) / n. After i iterations, the first n iterations have the share (1 - 1/n)^(i - n) in the mean,
-    although their weights are random or those of ``init_from``. Source: the weights of an exponential mean.
+    In the first n training iterations, the mean m of the policy's weights w covers all iterations. After the first n
+    iterations, each iteration updates the mean m by m += (w - m) / n. After i iterations, the poorly trained weights of
+    the first n iterations have the share (1 - 1/n)^(i - n) in the mean. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        few = int(iterations / (1.0 - math.log(_EARLY)))  # (1 - 1/n)^(i - n) is at most exp(1 - i/n)
+        # In a mean over n of i iterations, the first n have a share of (1 - 1/n)^(i - n), at most exp(1 - i/n).
+        few = int(iterations / (1.0 - math.log(_EARLY)))
         enough = few if few > 1 else 0  # 0 disables the mean
         message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"
         hint = f"at most {enough}, or more iterations"
@@ -245,7 +247,7 @@ def late_average(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_curriculum(case: Case) -> Iterator[Finding]:
-    """A curriculum term changes a reward's weight to the same value, or only after the end of the training.
+    """A curriculum term changes a reward's weight to the current weight, or only after the end of the training.
 
     The reward's weight changes when the number of control steps exceeds ``num_steps``. A training has max_iterations ·
     num_steps_per_env control steps. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.

@@ -17,8 +17,8 @@ from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # The rule reports a robot if the converter assumed more than this share of the robot's mass.
-_WEIGHTY = 0.01  # The inertia of a link below this share of the robot's mass is irrelevant.
+_ASSUMED = 0.05  # The largest accepted mass that the converter assumed, as a share of the robot's mass.
+_WEIGHTY = 0.01  # The smallest mass of a link whose inertia matters, as a share of the robot's mass.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 
@@ -34,7 +34,8 @@ def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Files of colliders or USD layers of the robot are missing or damaged.
 
     The mesh file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing,
-    the wheel's joint counts as a leg joint. The rule ignores missing files of visuals. Source: the conversion report.
+    the wheel's joint counts as a leg joint. ``missing_files`` ignores missing files of visuals. Source: the conversion
+    report.
     """
     report = robot.report
     if report is None:
@@ -50,7 +51,7 @@ def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The robot has no colliders.
 
-    It falls through the ground. Source: the compiled model.
+    A robot without colliders falls through the ground. Source: the compiled model.
     """
     bodies = {robot.model.body(name).id for name in robot.bodies}
     solid = (robot.model.geom_contype != 0) | (robot.model.geom_conaffinity != 0)
@@ -98,9 +99,9 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 _LIGHT = 2.0  # The smallest plausible ratio of a robot's mass to the cube of its length, kg/m³.
 _WIDE = 1.5  # The largest possible ratio of a link's radius of gyration to its extent.
 _NARROW = 0.03  # The smallest plausible ratio of a link's radius of gyration to its extent.
-_OUTSIDE = 0.5  # A centre of mass may lie outside the shapes by this share of the link's extent.
-_TRIANGLE = 0.01  # One moment of inertia may exceed the sum of the other two by this share.
-_LOCKED = 0.02  # A joint whose range is below this value, rad, cannot move.
+_OUTSIDE = 0.5  # The largest distance of a link's centre of mass outside its shapes, as a share of the link's extent.
+_TRIANGLE = 0.01  # The largest accepted relative excess of one moment of inertia over the sum of the other two.
+_LOCKED = 0.02  # The smallest range, rad, of a joint that can move.
 _PLACEHOLDER = 50.0  # The largest plausible ratio of an effort limit to the robot's weight times the robot's length.
 _FAST = 200.0  # The largest plausible speed of a joint, rad/s.
 
@@ -174,8 +175,8 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
 def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A driven leg joint has no limits, or its limits allow no motion.
 
-    A leg without joint limits can pass through the robot, and rewards for soft joint limits have no effect. Source:
-    Isaac Lab 2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
+    A leg without joint limits can pass through the robot, and rewards for soft joint limits have no effect. Source: the
+    parameter ``soft_joint_pos_limit_factor`` of Isaac Lab 2.3.2, and joint/range in MuJoCo's XML reference.
     """
     legs = [name for leg in robot.anatomy.legs for name in leg.joints if name not in leg.passive]
     free, locked = [], []
@@ -207,14 +208,14 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    A drive with an effort limit of 0 has no effect. An effort limit is not a real value if this torque could lift fifty
+    A drive with an effort limit of 0 has no effect. An effort limit is not realistic if the torque could lift fifty
     times the robot's weight on an arm as long as the robot. Policies that are trained with unreal effort limits do not
     work on the real robot. Source: statics.
     """
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    # The joints whose effort or speed limit in the robot file is 0. A task replaces the limits of the file.
+    # Limits of 0 in a robot file are reported only without a task, because a task sets effort and speed limits.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
     weak = [name for name in facts.joints if name in written and "task" not in case.config]

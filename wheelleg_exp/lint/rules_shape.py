@@ -17,11 +17,11 @@ from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 from wheelleg_exp.sim.names import match_names
 
 _ASSET = "env.robot.asset"
-_TOUCHES = 2e-3  # Soft contacts allow overlaps below this share of the robot's size.
-_DEEP = 0.25  # Two links that a joint connects may overlap by this share of the robot's size.
-_STANDS = 5e-3  # A body this near to the robot's lowest point, as a share of the robot's size, touches the ground.
-_BUMP = 0.05  # The radius of a wheel may vary around its rim by this share of the radius.
-_UNEQUAL = 0.02  # The radii of the left and right wheels may differ by this share.
+_TOUCHES = 2e-3  # The deepest overlap that soft contacts allow, as a share of the robot's size.
+_DEEP = 0.25  # The deepest accepted overlap of two links that a joint connects, as a share of the robot's size.
+_STANDS = 5e-3  # The largest height of a body on the ground above the robot's lowest point, as a share of its size.
+_BUMP = 0.05  # The largest accepted variation of a wheel's radius around the rim, as a share of the radius.
+_UNEQUAL = 0.02  # The largest accepted relative difference between the radii of left and right wheels.
 _SHOWN = 4  # pairs in one message
 
 
@@ -30,9 +30,9 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, two bodies of the robot overlap and can push each other apart.
 
     The contact force pushes overlapping bodies apart in the first physics step. MuJoCo disables contacts between two
-    bodies that a joint connects, so the rule reports these bodies only if the overlap exceeds a quarter of the robot's
-    size. Source: MuJoCo's own collision detection at the default pose; MuJoCo documentation, Computation, "Collision
-    detection", on which pairs are checked.
+    bodies that a joint connects. Two connected bodies are reported only if the bodies overlap by more than a quarter of
+    the robot's size. Source: MuJoCo's collision detection at the default pose, which checks the pairs of bodies that
+    MuJoCo's documentation lists (Computation, "Collision detection").
     """
     size = robot.anatomy.size
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
@@ -57,8 +57,9 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A contact termination watches a body that touches the ground or a second body at the start of an episode.
 
-    The rule reports a body that is as low as the robot's lowest point, or that overlaps a second body. Contact at the
-    start ends every episode at once, so the policy learns nothing. Source: kinematics of the default pose.
+    ``contact_at_start`` reports a body that is as low as the robot's lowest point, or that overlaps a second body.
+    Contact at the start ends every episode at once, so the policy learns nothing. Source: kinematics of the default
+    pose.
     """
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
@@ -82,9 +83,9 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A wheel is not round, differs from the opposite wheel, is blocked by joint limits, or has no collider.
 
-    The rule measures the radius of a wheel's colliders at all angles around the axle. A box or a coarse hull does not
-    roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support function of the
-    shapes.
+    ``wheels_that_do_not_roll`` measures the radius of a wheel's colliders at all angles around the axle. A box or a
+    coarse hull does not roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support
+    function of the colliders.
     """
     for name, why in robot.anatomy.near.items():
         yield Finding(
@@ -109,8 +110,8 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
             yield Finding(_ASSET, message, "colliders of one size", {"left_m": one, "right_m": other})
 
 
-_LEAN = 0.06  # A policy easily corrects a robot's lean below this value, rad.
-_DRAWN_LEAN = 0.17  # The allowed lean of a robot in the pose of its file, rad, which nobody has chosen for balance.
+_LEAN = 0.06  # The largest lean of a robot, rad, that a policy easily corrects.
+_DRAWN_LEAN = 0.17  # The largest accepted lean, rad, in the pose of the robot file, which is not chosen for balance.
 _EDGE = 0.1  # The smallest distance of the centre of mass from an outer wheel contact, as a share of the wheelbase.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
@@ -121,9 +122,9 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, the robot's centre of mass is not above the wheels.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. The hint of this rule contains the balanced pose,
-    which the rule computes from the kinematics. On several axles, the robot's centre of mass must be between the
-    outermost wheel contacts. Source: statics of the inverted pendulum.
+    of mass of the parts above the axle is vertically above the axle. The hint of ``balance_pose`` contains a balanced
+    pose, computed from the kinematics. On several axles, the robot's centre of mass must be between the outermost wheel
+    contacts. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
         return
@@ -169,8 +170,8 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The wheels do not roll along the x axis of the robot's base, or do not roll in one common direction.
 
-    Commands, rewards, and observations assume that the base's x axis points forwards. Source: Isaac Lab's convention,
-    ROS REP 103; the directions of the axles.
+    Commands, rewards, and observations assume that the base's x axis points forwards. Source: the convention of Isaac
+    Lab and ROS REP 103 that a body's x axis points forwards.
     """
     if not robot.anatomy.wheels:
         return
@@ -207,8 +208,8 @@ _PLACE = 0.015  # The allowed distance between a joint and its mirror image, as 
 _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
 _CENTRE = 0.02  # The allowed distance between a centre of mass and its mirror image, as a share of the robot's size.
-_ANGLE = 0.02  # The limits and positions of left and right joints may differ by this angle, rad.
-_NEGLIGIBLE = 0.01  # The centre of mass of a link below this share of the robot's mass is irrelevant.
+_ANGLE = 0.02  # The largest accepted difference, rad, between limits or positions of left and right joints.
+_NEGLIGIBLE = 0.01  # The smallest mass of a link whose centre of mass matters, as a share of the robot's mass.
 _ALONG = 0.9  # The smallest cosine between a joint's axis and the wheels' axle, for joints parallel to the axle.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
 _MOST = 4  # findings of one kind
@@ -216,11 +217,11 @@ _MOST = 4  # findings of one kind
 
 @rule
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Left and right wheel joints have opposite signs, although the leg joints of both sides have equal signs.
+    """Equal joint speeds roll left and right wheels in opposite directions, but move left and right legs alike.
 
-    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. If
-    all joints of one side have the opposite sign, the sign is a convention of the robot file, which is not reported.
-    Source: kinematics, v = omega x r.
+    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. Some
+    robot files reverse the axes of all joints of one side, which ``wheel_senses`` does not report. Source: kinematics,
+    v = omega x r.
     """
     anatomy = robot.drawn
     signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
@@ -269,8 +270,8 @@ def _way(sign: int) -> str:
 def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right legs are not mirror images in position, mass, centre of mass, or limits.
 
-    An asymmetric robot drifts to one side, and loses rewards for symmetry. Source: the image of each joint and link in
-    the plane between the sides, in the pose that the file draws.
+    An asymmetric robot drifts to one side, and loses rewards for symmetry. Source: the mirror image of each joint and
+    link in the plane between the left and right sides, at the pose of the robot file.
     """
     if robot.drawn.left is None:
         return
@@ -349,8 +350,8 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
 def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The default pose of a symmetric robot is asymmetric.
 
-    The usual cause is a sign: joints of two sides with opposite signs need positions of opposite signs. Source: the
-    mirrored axes of the joints.
+    The usual cause of an asymmetric pose is a sign: mirrored joints with opposite axes need positions of opposite
+    signs. Source: the mirrored axes of the joints.
     """
     if robot.drawn.left is None:
         return

@@ -20,8 +20,8 @@ class ActionTerm(TermBase):
     """One term of the action vector, which processes its own slice of the vector.
 
     Attributes:
-        drives: which target of its joints the term sets: The kind of the joint targets: ``position``, ``velocity``,
-            ``effort``, or an empty text for a term without joint targets.
+        drives: kind of the joint targets that the term sets (``position``, ``velocity``, or ``effort``); an empty text
+            if the term sets no joint targets.
         joint_names: names of the joints, if the term drives joints.
         action_dim: width of the slice.
     """
@@ -49,8 +49,8 @@ class ActionTerm(TermBase):
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
     """Return an error for each joint whose target two terms set: only the later term would have an effect.
 
-    A claim has an action term's config key, the kind of joint target that the term sets (such as ``position``), and the
-    joints.
+    Each tuple in ``claims`` has an action term's config key, the kind of its joint targets (such as ``position``), and
+    the names of its joints.
     """
     by_kind: dict[str, list[tuple[str, str, Sequence[str]]]] = {}
     for path, kind, joints in claims:

@@ -12,10 +12,10 @@ import torch
 class AsyncMaskQuery:
     """Finds environments whose episode ended; the host computes the indices from copies of masks (N,).
 
-    The GPU continues to work while the host waits for the masks: ``start`` starts to copy masks from the GPU, and
-    ``ids`` waits until the masks have arrived. The mask ``also_failed`` is available later than ``ended`` and
-    ``failed``. On a GPU, ``ids`` waits for ``also_failed`` only with ``at_once``; otherwise, ``late`` returns its
-    environments.
+    The method ``start`` starts to copy the masks of ended and failed environments to the host, and the GPU continues to
+    work. The method ``ids`` waits for the copies of both masks, and returns indices of ended and failed environments.
+    On a GPU, ``ids`` waits for the mask of environments whose failure is detected late only if ``at_once`` is True. If
+    ``at_once`` is False, the method ``late`` returns the environments whose failure is detected late.
 
     Attributes:
         answers_late: whether ``late`` may answer for the third mask; only on a GPU, where waiting costs time.
@@ -42,8 +42,8 @@ class AsyncMaskQuery:
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) is another mask of failed environments, in addition to ``failed``. Unless ``at_once`` is
-        True, environments of ``also_failed`` may be missing in the result; ``late`` then returns them.
+        ``also_failed`` (N,) is a second mask of failed environments, in addition to the argument ``failed`` of
+        ``start``. If ``at_once`` is False, the method ``late`` returns the environments of ``also_failed``.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -55,7 +55,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the environments of the mask ``also_failed`` that are missing in the results of ``ids``."""
+        """Return failed environments that ``ids`` missed, and those of them that ``ids`` did not return as ended."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -83,8 +83,8 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    The host does not wait for a GPU: a NaN or inf is reported some checks later. After a NaN or inf, every check for
-    finite numbers waits for the GPU until ``_PATIENCE`` checks in a row found none.
+    The host does not wait for a GPU, so it detects a NaN or inf on the GPU some checks later. After the host has
+    detected a NaN or inf, the next ``_PATIENCE`` checks for finite numbers wait for the GPU.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
@@ -126,7 +126,7 @@ class _FiniteWatch:
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return whether all checked numbers were finite; after a NaN or inf, False in ``_PATIENCE`` calls."""
+        """Return False in the ``_PATIENCE`` calls after a NaN or inf was detected on the GPU, otherwise True."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()
@@ -141,4 +141,4 @@ class _FiniteWatch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # one object that watches for NaN and inf per GPU, by the index of the GPU
+_watches: dict[int, _FiniteWatch] = {}  # the object that detects NaN and inf on a GPU, by the index of the GPU

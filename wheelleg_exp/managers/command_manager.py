@@ -20,8 +20,8 @@ from wheelleg_exp.terms.term_errors import described
 class CommandTerm(TermBase):
     """Base class of command terms, with a resampling timer and metrics of the command's tracking error.
 
-    A metric is the sum of ``error * dt`` over control steps, divided by the longest time between two draws. With
-    ``logs_last_error``, the metric is the tracking error at the end of the episode, which suits commanded positions.
+    A command's metric is the sum of ``error * dt`` over an episode, divided by the longest time between two draws of
+    the command. If ``logs_last_error`` is True, a command's metric is the tracking error at the end of an episode.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -29,7 +29,7 @@ class CommandTerm(TermBase):
     """
 
     logs_last_error: ClassVar[bool] = False
-    may_draw = True  # False if no resampling timer can expire in the present step
+    may_draw = True  # ``may_draw`` is False if no resampling timer can expire in the present control step.
 
     def __init__(
         self, env: Env, resampling_time_range: PositiveInterval, metric_names: Sequence[str], generator: torch.Generator
@@ -51,7 +51,7 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def errors(self) -> torch.Tensor:
-        """Return the tracking error of each metric in this control step, (M, N)."""
+        """Return the command's tracking errors in this control step, (M, N), for M metrics and N environments."""
         raise NotImplementedError
 
     def draw(self, env_ids: torch.Tensor) -> None:
@@ -59,10 +59,10 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def post_process(self) -> None:
-        """Compute the command from the drawn values; the manager calls this method in every control step."""
+        """Compute ``command`` from the values that ``draw`` stored; ``compute`` calls this in every control step."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update metrics, draw commands with expired timers, and post-process; return the tracking errors (M, N)."""
+        """Update the metrics, redraw commands whose timers expired, and return the tracking errors of ``errors``."""
         errors = self.errors()
         shape = self.error_sums.shape
         if getattr(errors, "shape", None) != shape:
@@ -85,7 +85,7 @@ class CommandTerm(TermBase):
     def read_settings(self) -> None:
         """Read the settings again.
 
-        Code must change the tensors that ``draw`` reads in place, because a CUDA graph refers to their memory.
+        If ``draw`` uses a tensor, ``read_settings`` must change it in place, because a CUDA graph uses its memory.
         """
 
     def may_expire(self, dt: float) -> bool:
@@ -173,7 +173,7 @@ class CommandManager(ManagerBase):
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # delete the flag, because attributes of a command term are saved as state
+                    del term.may_draw  # Delete ``may_draw``, because a checkpoint saves a command term's attributes.
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands, and return the commands' metrics over the episodes that ended."""

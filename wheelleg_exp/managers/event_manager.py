@@ -20,7 +20,7 @@ from wheelleg_exp.terms.term_binding import EVENT_MODES
 
 
 class EventManager(ManagerBase):
-    """Runs event terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or a user-defined mode.
+    """Runs event terms by mode (``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or user-defined modes).
 
     The event manager is built before the scene is compiled, so that ``prestartup`` terms can edit ``env.scene.spec``.
     """
@@ -68,8 +68,8 @@ class EventManager(ManagerBase):
     def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
         """Run the events of ``prestartup``, ``startup``, ``reset``, or a user-defined mode in some or all environments.
 
-        The mode ``reset`` of events needs the number of control steps since the start of the run. A user-defined event
-        mode without event terms causes a warning.
+        Events of the mode ``reset`` need ``global_env_step_count``, the environment's number of control steps so far. A
+        user-defined event mode without event terms causes a warning.
         """
         if mode == "interval":
             raise ValueError(
@@ -88,7 +88,7 @@ class EventManager(ManagerBase):
                 ids = self._due(name, term, everyone, global_env_step_count)
                 if not len(ids):
                     continue
-            if mode == "prestartup":  # the simulation is built only after this call
+            if mode == "prestartup":  # ``prestartup`` events run before the simulation is built.
                 term(self._env, ids)
             else:
                 self._run(name, term, ids)
@@ -112,7 +112,7 @@ class EventManager(ManagerBase):
             ids = ids_where(self.fired[name])
             if not len(ids):
                 continue
-            # Here ``ids`` is [0], because a timer that all environments share has one element.
+            # For a timer that all environments share, ``ids`` is [0], because the timer has only one element.
             self._draw_timer(name, term, ids)
             self._run(name, term, None if term.fields.get("is_global_time", False) else ids)
             ran = True
@@ -123,7 +123,7 @@ class EventManager(ManagerBase):
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         term(self._env, ids)
-        self._env.scene.robot.data.invalidate()  # an event term may have changed any quantity
+        self._env.scene.robot.data.invalidate()  # Clear cached data, which an event term may have changed.
         self._note_asked(name)
         require_finite_writes(self._env, term.path, self._asked[name], ids)
 

@@ -121,8 +121,8 @@ class Term(Kept):
     def __call__(self, *args: Any) -> Any:
         """Call the term with the environment (and ids), and check that the term's return value has the required form.
 
-        An exception in the term's code is raised as ConfigError in the first call, and as SimulationFailure in later
-        calls.
+        An exception in a term's code becomes a ConfigError in the term's first call, and a SimulationFailure in all
+        later calls of the term.
         """
         with self.blamed():
             value = self.func(*args, **self.params)
@@ -213,8 +213,8 @@ def bind_terms(
 ) -> dict[str, Term]:
     """Bind every term of a config section, in the order of the config; terms that are null are skipped.
 
-    ``kind`` is a key of ``terms.RESERVED``, and ``section`` is a config key such as ``env.rewards``. If ``instantiate``
-    is False, ``instantiate_term`` makes the term objects later.
+    ``kind`` is a key of ``term_binding.RESERVED``, and ``section`` is a config key such as ``env.rewards``. If
+    ``instantiate`` is False, ``instantiate_term`` makes the term objects later.
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
@@ -251,7 +251,7 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """If the term is a class, create the term's object; store the settings of every term."""
+    """Store a term's settings; if the term's ``func`` is a class, replace ``func`` by an object of this class."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
@@ -292,7 +292,7 @@ def build(value: Any, path: str) -> Any:
 
 
 def _built(value: Any, path: str) -> Any:
-    """Copy a parameter, which a curriculum may change; the result of its call replaces each ``_target_`` node."""
+    """Return a deep copy of a parameter in which each ``_target_`` node is replaced by the result of its call."""
     if isinstance(value, (list, tuple)):
         return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
     if not isinstance(value, Mapping):
@@ -366,7 +366,7 @@ class ManagerBase(OfEnv, Kept):
         return self._terms[name]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the manager and of the manager's terms."""
+        """Return the state of this manager and of all its terms, which a checkpoint saves."""
         tensors = {key: getattr(self, name).clone() for key, name in self.saved_tensors.items()}
         return {"terms": {name: term.state_dict() for name, term in self._terms.items()}, **tensors}
 

@@ -36,9 +36,9 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
     """Report which terms produced NaN or inf in the present step, and the state of the failed environments ``env_ids``.
 
-    The report has ``keys``, the config keys of failed terms by environment, and ``evidence``, the result of the
-    function ``evidence``. If the physics failed, the report names only the physics, because NaN in the physics causes
-    NaN in terms.
+    The item ``keys`` of the result has the config keys of failed terms by environment. The item ``evidence`` of the
+    result has the state of the failed environments. If the physics of an environment failed, ``keys`` names only the
+    physics, because NaN in the physics causes NaN in terms.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
     chosen = set(env_ids.tolist())
@@ -55,7 +55,7 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
     The tensor ``state`` is the present state of the engine. ``motion_at_start`` has the positions and velocities at the
     start of the control step, because the engine has already reset a failed simulation. ``model.<field>`` is a field of
-    the MuJoCo model that an event changed. The caller can add tensors (N, ...) to the report by name.
+    the MuJoCo model that an event changed. The result also contains the rows of further tensors ``more`` (N, ...).
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -83,7 +83,7 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
-        before = set(ids_where(env.scene.unstable()).tolist())  # environments whose physics failed before the event ran
+        before = set(ids_where(env.scene.unstable()).tolist())  # Exclude physics failures, which no event term caused.
         for name, values in written.items():
             bad = set(failed_rows(values).tolist()) - before
             bad &= bad if ids is None else set(ids.tolist())
@@ -105,8 +105,8 @@ def note_observations(env: Env) -> None:
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
     """Raise SimulationFailure if observations contain NaN or inf.
 
-    The error names the first observation term with NaN or inf. ``only`` (N,) bool selects environments. ``is_noted``
-    says whether ``note_observations`` was called for the present observations.
+    The raised SimulationFailure names the first observation term with NaN or inf. ``only`` (N,) bool selects
+    environments. ``is_noted`` says whether ``note_observations`` was called for the present observations.
     """
     if is_noted and is_calm(env.device):
         return

@@ -36,7 +36,7 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # True if masks, whose shape is fixed, select the environments instead of ids
+        self.in_masks = False  # `in_masks` is for CUDA graphs, which select environments by masks, not indices.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
@@ -97,7 +97,7 @@ class ObservationManager(Kept):
         return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
     def distinct(self) -> list[Group]:
-        """Return the last observations by group, without groups whose row is the beginning of a second group's row."""
+        """Return the last observation of each group, except groups whose observation is a prefix of another group's."""
         return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:
@@ -116,7 +116,7 @@ class ObservationManager(Kept):
             pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
             if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
                 self._unshare(group)
-        # Compute a group that is the beginning of another group's row after that other group.
+        # If observation group A is a prefix of group B, compute B first, because A copies its values from B.
         order = sorted(self._groups, key=lambda group: group in self._prefixes)
         found = {group: self._computed(group, first, values) for group in order}
         self.obs_buf = {group: found[group] for group in self._groups}
@@ -180,7 +180,7 @@ class ObservationManager(Kept):
         options = read_section(GroupOptions, node, path)
         terms = bind_terms("observations", f"{path}.terms", options.terms, env)
         if not terms:
-            raise ConfigError("the group has no terms", key=f"{path}.terms", expected="at least one term")
+            raise ConfigError("the observation group has no terms", key=f"{path}.terms", expected="at least one term")
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim
@@ -198,7 +198,7 @@ class ObservationManager(Kept):
         self._find_prefixes(group)
 
     def _find_prefixes(self, added: str) -> None:
-        """Share one row between two observation groups if the terms of one group are the first terms of the other."""
+        """Store only one history for two observation groups if the terms of one group are the other's first terms."""
         for known in [group for group in self._rows if group not in self._prefixes and group != added]:
             part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
             if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._prefixes.values():
@@ -264,12 +264,12 @@ class ObservationManager(Kept):
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
     """Raise ConfigError if the observation histories do not fit into memory.
 
-    The ConfigError names the config key ``key``, or if ``key`` is empty, the term with the longest history.
+    The raised ConfigError names the config key ``key``; if ``key`` is empty, the term with the longest history.
     """
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # Memory per number: 2 float32 copies in each environment, and 2 int64 indices of RowHistory.
+    # Each number of an observation needs two float32 copies per environment, and two int64 indices in RowHistory.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

@@ -22,7 +22,7 @@ from wheelleg_exp.terms.term_errors import failure
 
 @dataclass
 class Values:
-    """Observation values of the present control step, by the observation term that computed the value first.
+    """Observation values of the present control step; the key of a value is the term that computed the value.
 
     Attributes:
         raw: results of the functions.
@@ -89,7 +89,7 @@ class ObservationTerm(Kept):
             self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
 
     def share(self, others: Iterable[ObservationTerm]) -> None:
-        """Reuse the value of an observation term in another group that calls an equal function with equal parameters.
+        """Reuse the value of another term in ``others`` if both terms call the same function with equal parameters.
 
         Values of terms with state, and of terms that draw random numbers, are not reused.
         """
@@ -117,14 +117,14 @@ class ObservationTerm(Kept):
         return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
 
     def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether a second observation term always has samples and a history length equal to this term's."""
+        """Return whether this observation term and the term ``other`` have equal samples and equal history lengths."""
         shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
         return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
         """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
 
-        The sample is stored in ``values``, so that other observation terms can reuse the sample.
+        The sample of the observation term is stored in ``values``, so that other terms can reuse the sample.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -169,7 +169,7 @@ class ObservationTerm(Kept):
         return found | ({} if self._noise is None else {"noise": self._noise})
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers, noise, and delay in ``env_ids``; the next sample fills their histories."""
+        """Reset the term object, modifiers, noise, and delay of ``env_ids``; the next sample fills the history."""
         if isinstance(self.term.func, TermBase):
             self.term.func.reset(env_ids)
         for modifier in self._modifiers:
@@ -199,7 +199,7 @@ class ObservationTerm(Kept):
 
     def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
         if self._modifiers or self._noise is not None:
-            value = value.clone()  # copy the value, because a user-defined modifier may write to it
+            value = value.clone()  # Copy the observation, because a user-defined modifier may change it in place.
         for number, modifier in enumerate(self._modifiers):
             value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
@@ -269,7 +269,7 @@ class GroupLayout:
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
         self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
-        self._dim += self._dim >= 0  # skip the first dimension of a batch, the environments
+        self._dim += self._dim >= 0  # A batch of observations has the environments as first dimension.
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
         """Reshape a history (N, H, ...) of one term to the shape that ``join`` expects."""

@@ -32,7 +32,7 @@ class Rows:
         self._starts = np.zeros(num_envs, dtype=np.int64)
 
     def append(self, value: np.ndarray, owner: str) -> None:
-        """Append a row ``value`` (N, …); ``owner`` is the config key of the recorder."""
+        """Append ``value`` as a row (N, …); a raised error names the recorder's config key ``owner``."""
         if self._count and value.shape != self._rows.shape[1:]:
             message = f"the recorded shape is {value.shape}, and was {self._rows.shape[1:]}"
             raise ConfigError(message, key=owner, expected="the same shape at every call")
@@ -42,7 +42,7 @@ class Rows:
         self._count += 1
 
     def set(self, ids: np.ndarray, value: np.ndarray) -> None:
-        """Set ``value`` (n, …) as the only row of the current episodes of the environments ``ids``."""
+        """Store ``value`` (n, …) as the only recorded row of each environment in ``ids``, in place of earlier rows."""
         self._count = 0
         if not len(self._rows):
             self._make_room(np.zeros((self._num_envs, *value.shape[1:]), value.dtype))
@@ -56,7 +56,7 @@ class Rows:
         return self._rows[self._starts[env_id] : self._count, env_id]
 
     def begin(self, ids: np.ndarray) -> None:
-        """Start new episodes of the environments ``ids``. Rows recorded earlier do not belong to the new episodes."""
+        """Start new episodes of the environments ``ids``, so that rows recorded so far belong to earlier episodes."""
         self._starts[ids] = self._count
 
     def _make_room(self, value: np.ndarray) -> None:
@@ -100,8 +100,8 @@ def _flatten(key: Any, value: Any) -> Iterator[tuple[str, Any]]:
 class RecorderTerm(TermBase):
     """Records quantities by key. A subclass of the recorder class overrides only the hooks that the subclass needs.
 
-    A hook returns a key and a tensor with one row for each environment, or a key and a mapping of tensors, whose keys
-    are appended with ``/``. A recorder's hook that has no data returns None and None.
+    A recorder's hook returns a key and a tensor with one row for each environment, or a key and a mapping of tensors.
+    A tensor ``b`` in a mapping with the key ``a`` is recorded as ``a/b``. A hook without data returns (None, None).
 
     Attributes:
         reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before the
@@ -137,10 +137,10 @@ class RecorderTerm(TermBase):
 class RecorderManager(ManagerBase):
     """Splits recorded rows into episodes, and passes finished episodes to the writer of the dataset.
 
-    A dataset holds complete episodes. If a state was loaded during an episode, the episode is omitted, because its
-    start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and without
-    recorders. With Gymnasium's autoreset mode ``next_step``, the step that only resets counts as the last step of an
-    episode.
+    A dataset holds complete episodes. If an environment's state was loaded during an episode, the dataset omits the
+    episode, whose start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and
+    without recorders. With Gymnasium's autoreset mode ``next_step``, the step that only resets counts as the last step
+    of an episode.
     """
 
     kind = "recorders"
@@ -174,7 +174,7 @@ class RecorderManager(ManagerBase):
         self._append("record_post_physics_decimation_step")
 
     def record_post_step(self) -> None:
-        """Call all recorders after rewards and terminations, before the resets; see ``reads_observations``."""
+        """Call all recorders after rewards and terminations were computed, before environments are reset."""
         manager = self._env.observation_manager
         present = manager.obs_buf
         if self._reads:
@@ -215,19 +215,19 @@ class RecorderManager(ManagerBase):
             self._is_whole[:] = False
 
     def take(self) -> dict[str, Arrays]:
-        """Return the episodes that have ended since the last call, by group; each group has arrays by name.
+        """Return the episodes that have ended since the last call of ``take``, by group; a group has arrays by name.
 
-        The groups are ``episodes``, or ``succeeded`` and ``failed``. The arrays ``episode/env``, ``episode/length``
-        (control steps), ``episode/last_step`` (control steps since construction), and ``episode/success`` have one
-        number for each episode. The array of each quantity holds the rows of all episodes in order; ``rows/<key>``
-        holds the number of rows of each episode.
+        With ``export_mode: all``, the only group of episodes is ``episodes``; otherwise, the groups are ``succeeded``
+        and ``failed``. The arrays ``episode/env``, ``episode/length`` (control steps), ``episode/last_step`` (control
+        steps since construction), and ``episode/success`` have one number for each episode. The array of a quantity
+        holds the rows of all episodes in order; ``rows/<key>`` holds the number of rows of each episode.
         """
         found = {group: _joined(episodes) for group, episodes in self._finished.items()}
         self._finished = {}
         return found
 
     def forget(self) -> None:
-        """Omit the current episodes from the dataset, because a state was loaded."""
+        """Omit the current episodes from the dataset, after a state of the environment was loaded."""
         self._is_whole[:] = False
 
     def state_dict(self) -> dict[str, Any]:

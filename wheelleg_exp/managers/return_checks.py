@@ -19,7 +19,7 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 
 class Form(Protocol):
-    """Base class of the required forms of a term's return value."""
+    """Base class of the requirements for a term's return value, such as type, shape, and device."""
 
     def fits(self, value: Any) -> bool:
         """Return whether a fast check shows that the return value ``value`` is valid. If not, ``check`` decides."""
@@ -29,10 +29,10 @@ class Form(Protocol):
 
 
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
-    """Raise ConfigError with the config key ``path`` unless a return value has the required form.
+    """Raise ConfigError with the config key ``path`` unless a term's return value ``value`` has the form ``form``.
 
-    ``source`` describes the function that returned the value. ``code`` is the function that returned the value, or its
-    object.
+    ``source`` describes the function that returned ``value``. The error names the source line of ``code``, the function
+    or object that returned ``value``.
     """
     try:
         form.check(value, source)
@@ -66,11 +66,11 @@ class TensorForm:
         return self._shape is not None
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value has the same shape as the first valid return value."""
+        """Return whether ``value`` has the same shape as the first valid tensor that the term returned."""
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError if the value that ``source`` returned is not a tensor of the required form."""
+        """Raise ConfigError unless ``value`` is a tensor with the required shape, type, and device."""
         if self.fits(value):
             return
         found, fix = self._mistake(value)
@@ -132,7 +132,7 @@ class NoForm:
         return value is None
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError if ``source`` returned a value."""
+        """Raise ConfigError if the function that ``source`` describes returned a value other than None."""
         if value is not None:
             raise ConfigError(
                 f"{source} returns {described(value)}, which the manager ignores", expected="no return value"
@@ -148,7 +148,7 @@ class FiguresForm:
         return value is None or type(value) is float
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError if ``source`` returned anything but a number, numbers by name, or None."""
+        """Raise ConfigError if a function returned anything but a number, numbers by name, or None."""
         figures = value.values() if isinstance(value, Mapping) else [value]
         wrong = next((figure for figure in figures if figure is not None and not _is_number(figure)), None)
         if wrong is not None:

@@ -69,12 +69,12 @@ class RowHistory:
         self.values = torch.zeros(num_envs, sum(sizes), device=device)
 
     def append(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Append a sample (N, width) of each term; return a new row (N, sum of H * width)."""
+        """Append one sample (N, width) of each term, and return the histories of all terms in one row (N, columns)."""
         self.values = self.appended(samples, first)
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the row that ``append`` would return; for k samples, return the columns of the first k terms."""
+        """Return the row that ``append`` would return for ``samples`` of the first terms; store no samples."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -90,37 +90,37 @@ class RowHistory:
         return after
 
     def prefix(self, count: int) -> torch.Tensor:
-        """Return a copy of the columns of the first ``count`` terms."""
+        """Return a copy of the histories of the first ``count`` observation terms, (N, columns)."""
         return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
 
     def part(self, index: int) -> RowHistoryPart:
-        """Return the history of one term in the row."""
+        """Return the history of the observation term with the index ``index``."""
         return RowHistoryPart(self, self._spans[index], self._widths[index])
 
 
 class RowHistoryPart:
-    """One term's history in a ``RowHistory``, with a state dict in the form of a ``HistoryBuffer``'s state dict."""
+    """The history of one observation term, stored in a ``RowHistory``, the tensor of several terms' histories."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
         self._row, self._span, self._width = row, span, width
 
     @property
     def samples(self) -> torch.Tensor:
-        """The last samples of the term, oldest first, (N, H, width)."""
+        """The last H samples of one observation term, oldest first, (N, H, width)."""
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the state that a checkpoint saves."""
+        """Return the state that a checkpoint saves, in the form of ``HistoryBuffer.state_dict``."""
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore the state from a checkpoint."""
-        self._row.values = self._row.values.clone()  # copy the row, because a caller may hold the old tensor
+        self._row.values = self._row.values.clone()  # Copy the histories, because a caller may use the old tensor.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 
 def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
-    """Return the buffer that delays samples (N, ...) of a term by the field ``delay`` of the term, or None."""
+    """Return the buffer that delays a term's samples (N, ...); None if the term's field ``delay`` is missing or 0."""
     low, high = term.fields.get("delay") or (0, 0)
     if high == 0:
         return None

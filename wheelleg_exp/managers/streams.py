@@ -26,7 +26,7 @@ class Streams(Kept):
         self._generators: dict[str, NamedStream] = {}
 
     def get(self, path: str) -> torch.Generator:
-        """Return the random generator of a term, whose config key names the stream."""
+        """Return the random generator of the stream with the name ``path``, such as the config key of a term."""
         if path not in self._generators:
             self._generators[path] = NamedStream(self._device)
             self._generators[path].manual_seed(stream_seed(self._seed, path))

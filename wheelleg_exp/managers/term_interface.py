@@ -116,7 +116,7 @@ class SceneEntityCfg:
                 raise ConfigError(f"'{self.name}' does not support '{name}'", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the selected bodies, after a call of ``resolve`` without waiting for a GPU."""
+        """Return the indices of the selected bodies; once ``resolve`` has run, this method does not wait for a GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 

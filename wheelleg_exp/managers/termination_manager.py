@@ -60,7 +60,7 @@ class TerminationManager(ManagerBase):
         return [(name, [float(flag)]) for name, flag in zip(self._terms, flags, strict=True)]
 
     def endings(self, env_ids: torch.Tensor) -> Counter[str]:
-        """Count the environments ``env_ids`` (or a mask) by the terminations that ended their episodes in this step."""
+        """Count the episodes of ``env_ids`` (indices or a mask) by the termination that ended them in this step."""
         return _endings(self.active_terms, self.fired[:, env_ids])
 
     def compute(self, skipped: torch.Tensor | None = None) -> torch.Tensor:
@@ -103,6 +103,6 @@ class TerminationManager(ManagerBase):
 
 
 def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
-    """Count environments by the joined names of the termination terms that fired in one step, given flags (T, n)."""
+    """Count environments by the termination terms that fired; ``fired`` (T, n) has a flag for each of T terms."""
     columns = fired.T.tolist()
     return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

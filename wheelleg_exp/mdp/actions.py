@@ -108,7 +108,7 @@ class _DefaultOffsetAction(JointAction):
 
     @property
     def applies_once(self) -> bool:
-        """Whether the term sets joint targets once per control step; a subclass may set them at every physics step."""
+        """Whether an action term sets joint targets only once per control step; False in user-defined subclasses."""
         return type(self).__module__ == __name__
 
     def __init__(

@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# The settings of a term that its manager reads at each use; a manager reads all other settings only once.
+# A manager reads these settings of a term at each use, and all other settings of the term only once.
 _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -39,14 +39,14 @@ def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address points to a setting of a manager term; terms save changes of their own settings."""
+    """Return whether an address points to a setting of a manager term, which then saves the changed setting."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
     """Set the value of the setting at an address relative to the object ``root``.
 
-    A tuple that contains the setting is replaced by a new tuple, and term objects update their constructor arguments.
+    To change an element of a tuple, a new tuple is stored. Term objects apply changes of their constructor arguments.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -78,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # levels of an address that exist only in Isaac Lab
+        if part in ("func", "params"):  # Isaac Lab's addresses of settings contain these names, unlike ours.
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -87,7 +87,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # Ignore the level ``cfg`` in addresses of Isaac Lab.
+        return holder  # Addresses of settings in Isaac Lab contain the name ``cfg``, which has no effect here.
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):

@@ -20,7 +20,7 @@ from wheelleg_exp.terms.term_binding import resolve_target
 
 def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
     """Set a reward term's weight after ``num_steps`` control steps of training; return the present weight."""
-    del env_ids  # all environments share the step counter and the reward weight
+    del env_ids  # The counter of control steps and the weight of a reward term are equal in all environments.
     term = env.reward_manager.get_term_cfg(term_name)
     if env.common_step_counter > num_steps:
         term.fields["weight"] = weight
@@ -36,14 +36,14 @@ class modify_env_param(TermBase):
     """Call a function that changes an environment's setting, given by its address; log the setting if it is a number.
 
     The address is dotted, with ``[i]`` for list elements: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``.
-    A checkpoint saves and restores the changed setting with the environment.
+    A checkpoint saves and restores the value of a setting that this curriculum term has changed.
 
     Args:
         address: address of the value.
         modify_fn: dotted name of the function, or a node that builds the function, such as one of
-            ``wheelleg_exp.mdp.schedules``. The function receives the environment, the ids of the environments that
-            reset, the setting's value, and ``modify_params``. The function returns the setting's new value, or
-            ``modify_env_param.NO_CHANGE``.
+            ``wheelleg_exp.mdp.schedules``. The arguments of ``modify_fn`` are the environment, the ids of environments
+            to reset, the value at ``address``, and ``modify_params``. The result of ``modify_fn`` is the new value at
+            ``address``, or ``modify_env_param.NO_CHANGE``.
         modify_params: further arguments of the function, by name.
     """
 
@@ -69,7 +69,7 @@ class modify_env_param(TermBase):
             message = f"'{getattr(self._modify, '__name__', type(self._modify).__name__)}': {error}"
             raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
-        # A term saves its own settings, so the curriculum saves only values outside of terms.
+        # A manager term saves its own settings, so this object saves only settings that belong to no manager term.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -82,7 +82,7 @@ class modify_env_param(TermBase):
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy the setting's value, because a checkpoint cannot restore a list that is shared with modify_params.
+            # Copy the new value, because a checkpoint cannot restore a list that ``modify_params`` also contains.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -103,8 +103,7 @@ class modify_term_cfg(modify_env_param):
     """Call a function that changes a setting of a manager term; see ``modify_env_param``.
 
     The address starts with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
-    ``observations.policy.base_ang_vel.noise.n_max``. The address of the setting may contain Isaac Lab's level
-    ``params``.
+    ``observations.policy.base_ang_vel.noise.n_max``. As in Isaac Lab, a parameter's address may contain ``params``.
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
@@ -126,7 +125,7 @@ def terrain_levels_vel(
 
     A robot moves to a harder tile if its distance from the tile's centre exceeds half the tile's length along x. A
     robot moves to an easier tile if it covered less than half of the distance that its last command demands in a
-    full-length episode. On ground without tiles, the curriculum has no effect.
+    full-length episode. On ground without terrain tiles, ``terrain_levels_vel`` has no effect.
     """
     terrain = env.scene.terrain
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
@@ -163,11 +162,11 @@ def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits)
 class command_range_levels(TermBase):
     """Widen the ranges of a command whenever the robots track the command well; return the upper bounds of the ranges.
 
-    A ratio measures tracking: the sum of a tracking reward over an episode, divided by the sum that perfect tracking
-    gives in a full-length episode. The mean tracking ratio is evaluated at most once per full episode length. If the
-    mean tracking ratio exceeds ``threshold``, each range grows by ``step`` on both sides, up to ``limit_ranges``. Isaac
-    Lab's library does not have this curriculum; some projects have it as ``lin_vel_cmd_levels`` or
-    ``ang_vel_cmd_levels``.
+    The tracking ratio is a tracking reward's sum over an episode, divided by the sum for perfect tracking in a
+    full-length episode. Once per full episode length, the tracking ratio's mean over all ended episodes is evaluated.
+    If the mean tracking ratio exceeds ``threshold``, each command range in ``limit_ranges`` grows by ``step`` on both
+    sides, up to its limit. ``command_range_levels`` is not part of Isaac Lab's library; some Isaac Lab projects have it
+    as ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
@@ -215,21 +214,21 @@ lin_vel_cmd_levels = command_range_levels
 ang_vel_cmd_levels = command_range_levels
 
 
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # the components of a velocity command, in their order
+_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # the components of a velocity command, in the order of its tensor
 
 
 class command_levels_by_skill(TermBase):
-    """Widen the ranges of a velocity command on the axes that the robots track well; return upper bounds and skills.
+    """Widen a velocity command's range on each axis that the robots track well; return upper bounds and skills S.
 
-    Each axis of the command is evaluated separately, over at least ``min_episodes`` finished episodes. Only control
-    steps in which the command on the axis is not zero count. The skill is S = (score - still) / (1 - still): score is
-    the mean of exp(-e²/std²) for the error e, and still is the score of a robot that never moves, the mean of
-    exp(-c²/std²) for the command c. For any ranges and std, the tracking skill S is 0 for a robot that stands still,
-    and 1 for perfect tracking. A failed episode counts as a full-length episode, with a tracking score of 0 in all
-    steps after the failure. After ``passes`` evaluations in a row with a tracking skill of at least ``threshold``, the
-    range grows by ``step`` on both sides. Evaluations ignore episodes that started before a range's last growth. If a
-    range below its limit has not grown in ``patience`` evaluations, ``<axis>_stuck`` in the log is 1, and training
-    warns.
+    The tracking of each command axis is evaluated separately, over at least ``min_episodes`` finished episodes. An
+    axis's evaluation skips control steps in which the command on the axis is at most ``command_threshold``. The skill
+    is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e, and still is the score of
+    a robot that never moves, the mean of exp(-c²/std²) for the command c. For any command range and ``std``, the
+    tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A failed episode counts as a
+    full-length episode, with a tracking score of 0 in all steps after the failure. An axis's command range grows by
+    ``step`` on both sides after ``passes`` evaluations in a row with a skill S of at least ``threshold``. Evaluations
+    of the tracking skill ignore episodes that started before the last growth of a command range. If an axis's range
+    could grow but has not grown in ``patience`` evaluations, the log value ``<axis>_stuck`` is 1, and training warns.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
@@ -273,9 +272,10 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        self._sums = torch.zeros(shape, device=env.device)  # sums over an episode: score, score at rest, steps
-        self._total = torch.zeros(shape[:2], device=env.device)  # the sums of the scores over all finished episodes
-        # A mask of the environments whose episode started after the last growth of a range.
+        # An episode's sums have three rows: the tracking score, the score of a robot at rest, and the number of steps.
+        self._sums = torch.zeros(shape, device=env.device)
+        self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` has the same sums over all ended episodes.
+        # A mask of the environments whose episode started after the last growth of a command range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
@@ -284,7 +284,7 @@ class command_levels_by_skill(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add the tracking values of the present control step to the sums over the present episodes."""
+        """Add the tracking scores of the present control step to the sums over the present episodes."""
         data = self._env.scene[self._asset].data
         command = self._env.command_manager.get_command(self._command)
         velocity = torch.cat((data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2:]), dim=1)
@@ -318,7 +318,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # no control step had a command on the axis
+            if steps - still <= 0.0:  # Skip an axis on which the command was zero in all control steps.
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -336,16 +336,16 @@ class command_levels_by_skill(TermBase):
 
 
 class terrain_levels_by_distance(TermBase):
-    """Move robots to harder or easier terrain tiles by the distance that they covered along commands; return levels.
+    """Move robots to harder or easier terrain tiles by the distance covered along the command; return tile levels.
 
     The covered distance of an episode is the time integral of the velocity component along the command's direction, in
-    level axes that turn with the robot. The distance ratio of an episode is the covered distance divided by the
-    commanded distance. The commanded distance of a failed episode is extrapolated to a full-length episode. A robot
-    moves to a harder tile if its distance ratio is at least ``up``, and to an easier tile if the ratio is at most
-    ``down``. A robot with a commanded distance below ``min_distance`` does not move, except to an easier tile after a
-    failed episode. A robot that passes the hardest row of tiles moves to a random row. On ground without tiles, the
-    curriculum has no effect. If the mean tile level is in the lower half and has not increased for ``patience``
-    full-length episodes, the log value ``stuck`` is 1, and training warns.
+    horizontal axes that turn with the robot. The commanded distance of a failed episode is extrapolated to a
+    full-length episode. A robot moves to a harder tile if it covered at least the share ``up`` of the commanded
+    distance, and to an easier tile if it covered at most the share ``down``. If the commanded distance is below
+    ``min_distance``, a robot stays on its tile, or moves to an easier tile after a failed episode. A robot that passes
+    the hardest row of tiles moves to a random row. On ground without terrain tiles, ``terrain_levels_by_distance`` has
+    no effect. If the mean tile level is in the lower half and has not increased for ``patience`` full-length episodes,
+    the log value ``stuck`` is 1, and training warns.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.
@@ -376,7 +376,7 @@ class terrain_levels_by_distance(TermBase):
         env.observers.append(self.observe)
 
     def observe(self) -> None:
-        """Add the tracking values of the present control step to the sums over the present episodes."""
+        """Add the commanded and the covered distance of this control step to the sums over the present episodes."""
         command = self._env.command_manager.get_command(self._command)[:, :2]
         speed = torch.linalg.vector_norm(command, dim=1)
         forwards, sideways = level_velocity(self._env.scene[self._asset].data)

@@ -55,7 +55,7 @@ class Clip(Modifier):
         return value.clip(*self._bounds)
 
 
-# Second names of the classes, which are the names in Isaac Lab.
+# In Isaac Lab, the modifiers ``Scale``, ``Bias``, and ``Clip`` have these lower-case names.
 scale, bias, clip = Scale, Bias, Clip
 
 
@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # stored as a tuple, because tensor attributes would be saved as state
+        self._coefficients = (feedback, forward)  # Store a tuple, because a checkpoint saves tensor attributes.
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 

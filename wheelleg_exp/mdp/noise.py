@@ -96,15 +96,15 @@ class NoiseModelWithAdditiveBias:
         return self._noise(value, generator) + self._bias
 
     def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
-        """Draw a new bias for the environments ``env_ids``."""
+        """Draw a new observation bias for the environments ``env_ids``."""
         # Assign a new tensor, because a tensor that was created in inference mode cannot be changed in place.
         if self._bias is not None:
             self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the bias of each environment."""
+        """Return the observation bias of each environment, which a checkpoint saves."""
         return {"bias": None if self._bias is None else self._bias.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the bias of each environment."""
+        """Restore the observation bias of each environment from a checkpoint."""
         self._bias = None if saved["bias"] is None else saved["bias"].clone()

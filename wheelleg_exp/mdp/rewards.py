@@ -64,8 +64,8 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    The gradient of the tilt reward, unlike that of a squared error, does not vanish at small tilt angles. The term's
-    penalty for a fallen robot is at most the term's weight. Upside-down and upright robots get equal reward values.
+    The gradient of this tilt reward, unlike that of a squared error, does not vanish at small tilt angles. A fallen
+    robot loses at most the weight of ``flat_orientation_exp``. Upside-down and upright robots get equal reward values.
 
     Args:
         std: sine of the tilt at which 1/e of the reward remains.
@@ -119,7 +119,7 @@ def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: Sc
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the norms of the linear accelerations of the selected bodies, m/s^2.
 
-    Isaac Lab's name of this reward is ``body_lin_acc_l2``, although the norms of the accelerations are not squared.
+    In Isaac Lab, ``body_lin_acc_norm_sum`` is called ``body_lin_acc_l2``, although the norms are not squared.
     """
     acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
@@ -234,8 +234,8 @@ def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 class joint_vel_rate_l2(TermBase):
     """Sum of the squared changes of joint velocities over a control step, (rad/s)^2; 0 in an episode's first step.
 
-    Not in Isaac Lab. The term penalises jerky wheels. The reward ``joint_acc_l2``, in contrast, uses only velocity
-    changes over the last physics step.
+    Not in Isaac Lab. The term penalises jerky wheels. Unlike ``joint_vel_rate_l2``, the reward ``joint_acc_l2`` uses
+    only velocity changes over the last physics step.
     """
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
@@ -350,7 +350,7 @@ def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntity
 def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force never exceeded ``threshold`` (N) in the contact sensor's force history.
 
-    Not in Isaac Lab. If the bodies are wheels, the reward value is the number of wheels in the air.
+    Not in Isaac Lab. If ``sensor_cfg`` selects the wheels, ``no_contact_count`` is the number of wheels in the air.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
@@ -359,7 +359,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
 
-    Isaac Lab's name of this reward is ``desired_contacts``, although the reward counts missing contacts.
+    In Isaac Lab, ``no_desired_contact`` is called ``desired_contacts``, although its value is 1 for missing contacts.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()

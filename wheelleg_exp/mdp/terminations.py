@@ -98,7 +98,7 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        # The number of control steps since the robot last moved on; -1 at the start of an episode.
+        # The number of control steps since the robot last moved by ``distance``; -1 at the start of an episode.
         self._stayed = torch.full((env.num_envs,), -1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:
@@ -141,7 +141,7 @@ def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: S
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """End the episode if a joint torque was clipped by an effort limit, a torque-speed line, or a linkage's table."""
+    """End the episode if a joint torque was clipped by a torque limit, which may depend on joint speed or position."""
     data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
     computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
     limits = picked(data.joint_effort_limits, joints)

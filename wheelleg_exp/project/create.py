@@ -80,7 +80,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_NEVER_SILENCED = ("missing_files", "robot_size")  # The rule robot_size finds robot files with a wrong unit.
+_NEVER_SILENCED = ("missing_files", "robot_size")  # The lint rule robot_size finds robot files with wrong units.
 _PURPOSES = {
     "action": "the effect of one unit of action",
     "observation": "positions of the legs",
@@ -90,7 +90,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return the texts of a project's files by path; ``asset`` and ``configs`` are paths in folders of that name."""
+    """Return a project's files as texts by path; ``asset`` is relative to ``assets/``, ``configs`` to ``configs/``."""
     groups = {file: file.split("/")[0] for file in configs}
     rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
@@ -136,7 +136,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     require_name(name)
     _require_free(path)
     if not path.parent.is_dir():
-        raise NameTaken("there is no such parent folder", key=str(path.parent))
+        raise NameTaken("the parent folder of the new project does not exist", key=str(path.parent))
     home = configs_dir().parent
     if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
         beside = Path(os.path.relpath(home.parent / path.name))
@@ -172,7 +172,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    # Copy and measure a robot. Error messages name the path of the user's robot file, not the path of the copy.
+    # Copy and measure a robot. Error messages name the user's robot file, not the copied file.
     folder = draft / "assets" / name
     try:
         robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
@@ -190,7 +190,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        # Silence the findings of `wheelleg check --physics` in the task file; their texts become the reasons.
+        # Silence the findings of `wheelleg check --physics` in the task file, with each finding's text as the reason.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def copy_robot(source: Path, folder: Path) -> Path:
     """Copy a robot file, and every layer, texture, or mesh to which the file refers, to ``folder``.
 
-    Files in the folder of ``source`` keep their relative paths in the copy. Files outside of the folder of ``source``
-    get new paths in ``folder``, to which the copied robot file refers. The function returns the path of the copied
+    Files in the folder of ``source`` keep their relative paths in ``folder``. Files outside of the folder of ``source``
+    get new paths in ``folder``, to which the copied robot file refers. ``copy_robot`` returns the path of the copied
     robot file.
     """
     folder.mkdir(parents=True)
@@ -43,7 +43,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {file.resolve() for file in files if file.is_file()}
         if _copied_in_place(source, files, folder):
             return folder / source.name
-        # Copy a USD stage and all files outside of the stage's folder. The USD library rewrites the paths in the copy.
+        # Copy a USD stage and all files outside of the stage's folder. The USD library rewrites the copied paths.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
         if not done or not (folder / source.name).is_file():
             message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
@@ -54,7 +54,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
 def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
     """Return a filter for the USD library that selects the layers, textures, and materials of a robot.
 
-    Without this filter, a robot file that refers to ``/etc/passwd`` would copy the file ``/etc/passwd`` into a project.
+    Without a filter, a robot file that refers to ``/etc/passwd`` would copy the file ``/etc/passwd`` into a project.
     """
     from pxr import UsdUtils
 
@@ -106,7 +106,7 @@ def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # ``source`` can be a symbolic link to the file that was copied.
+    if source.name != source.resolve().name:  # A symbolic link to a robot file becomes a second copy of the file.
         _copy(source, folder / source.name)
     return True
 

@@ -22,24 +22,24 @@ _LEG_RATE = 2 * math.pi * 3  # The bandwidth of a leg joint, rad/s.
 _DAMPING_RATIO = 0.7
 _SAG = 0.05  # The largest position error of a leg joint that carries the robot's weight, rad or m.
 _STRENGTH = 3.0  # The ratio of a leg drive's effort limit to the torque that holds the pose.
-_LEVER = 0.25  # For estimated gains, the weight acts at a lever of at least this share of the leg's length.
-_BENDS = 0.35  # A leg buckles if the static position error of a joint exceeds this value, rad or m.
+_LEVER = 0.25  # The shortest assumed lever of the robot's weight at a leg joint, as a share of the leg's length.
+_BENDS = 0.35  # The largest static position error, rad or m, of a leg joint that does not buckle.
 # The largest accepted ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
 _FULL = 4.0
-_SLIPS = 5.0  # An effort limit above this multiple of the torque at which the wheel slips is not a real value.
-_FAST = 100.0  # A speed limit above this value, rad/s, is not a real value.
-_WEAK = 0.3  # The smallest accepted ratio of an effort limit to the torque that holds the weight at the shortest lever.
+_SLIPS = 5.0  # The largest realistic ratio of a wheel's effort limit to the torque at which the wheel slips.
+_FAST = 100.0  # The largest realistic speed limit of a joint, rad/s.
+_WEAK = 0.3  # The smallest ratio of an effort limit to the torque that holds the weight at the shortest assumed lever.
 _STEP = 0.005  # The physics time step of a new project's task, s.
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
 _TRACTION = 1.5  # The ratio of a wheel's effort limit to the torque at which the wheel slips.
 _GROUND_SPEED = 2.0  # m/s
-_ENDLESS = 1e6  # An effort or speed limit above this value in a robot file means that the joint is unlimited.
+_ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains and limits of a group of actuators, by the actuator's joint.
+    """The gains and limits of a group of actuators; the keys of each mapping are the names of the actuated joints.
 
     Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
     contains the names of the quantities whose values are from the robot file. ``refused`` lists unusable gains and
@@ -107,7 +107,8 @@ class _Load:
     ``inertia`` (kg·m²) is the inertia that the joint's torque accelerates while all other joints are free. ``carried``
     (kg·m²) is the inertia of the part of the robot that the joint carries. ``holds_now`` (N·m) is the torque that holds
     the default pose, and ``hold`` (N·m) the torque that holds the weight at a lever of at least a quarter of the leg's
-    length. ``stiffest`` (N·m/rad) is a stable stiffness: with it, an undamped joint turns by one radian per step.
+    length. ``stiffest`` (N·m/rad) is a stable stiffness, at which an undamped joint oscillates with a phase of one
+    radian per step.
     """
 
     inertia: float
@@ -160,7 +161,7 @@ def wheel_gains(robot: Survey) -> Gains:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return the values of joints, equal for mirrored joints, and whether the robot file contains all these values."""
+    """Return one gain or limit for each joint, and whether the robot file contains the values of all joints."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -322,7 +323,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``indent`` is the indentation of the YAML list after its first line; ``used`` characters precede the YAML list.
+    ``indent`` is the indentation of the list's further lines, and ``used`` the number of characters before the list.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

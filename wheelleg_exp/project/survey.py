@@ -43,10 +43,10 @@ _LEAN = math.radians(0.5)  # smaller leans are ignored
 class Standing:
     """How a robot stands.
 
-    ``frame`` is the rotation (w, x, y, z) of the root link's new frame in its frame in the robot file. ``frame`` is
-    None if the robot file's root frame has x forwards and z upwards. ``rotation`` is the rotation of the root link in
-    the world (w, x, y, z). ``positions`` maps leg joints to positions, rad or m. ``stance`` is None for a robot that
-    has no wheels. ``lean`` is the pitch of the base, rad, positive if the front is lower.
+    ``frame`` is the rotation (w, x, y, z) from the root link's frame in the robot file to a new frame of the root link.
+    ``frame`` is None if the robot file's root frame has x forwards and z upwards. ``rotation`` is the rotation of the
+    root link in the world (w, x, y, z). ``positions`` maps leg joints to positions, rad or m. ``stance`` is None for a
+    robot that has no wheels. ``lean`` is the pitch of the base, rad, positive if the front is lower.
     """
 
     frame: Quaternion | None
@@ -66,9 +66,9 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the root link's frame with x forwards, y to the left, and z upwards while the base leans.
+    """Return the rotation to a root frame with x forwards, y to the left, and z upwards at a base pitch of ``lean``.
 
-    If the axes of the robot file's frame are nearly parallel to these axes, the robot file's axes are used.
+    If the forward, left, and up directions are nearly parallel to axes of the robot file, the file's axes replace them.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -87,8 +87,8 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_GROUND = 0.05  # A body touches the ground if its distance to the ground is below this share of the standing height.
-_LEVEL = 0.99  # A root link is upright if the cosine of the root link's tilt is at least this value.
+_GROUND = 0.05  # The largest height of a body that counts as on the ground, as a share of the standing height.
+_LEVEL = 0.99  # The smallest cosine of the tilt of an upright root link.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
@@ -99,12 +99,12 @@ class Survey:
     ``dofs`` contains the degrees of freedom in the robot's order, breadth first. ``legs`` contains the driven joints
     between base and wheels; for a robot without wheels, all driven joints. ``held`` contains the driven joints that no
     action of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains
-    the joint positions of the default pose, rad or m. ``standing`` is None if the caller of the function chose the
-    pose. ``overlaps`` contains the overlap depth, m, of each pair of overlapping links that can touch. ``radius`` is
-    the radius of the wheels, m. ``size`` is the height of the root link or of the centre of mass, m, whichever is
-    larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest link that is fixed to the
-    root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground. ``raised_bodies`` have
-    colliders but do not touch the ground. ``notes`` contains messages for the user.
+    the joint positions of the default pose, rad or m. ``standing`` is the computed standing pose, or None if the caller
+    of ``survey`` gave joint positions. ``overlaps`` contains the overlap depth, m, of each pair of overlapping links
+    that can touch. ``radius`` is the radius of the wheels, m. ``size`` is the height of the root link or of the centre
+    of mass, m, whichever is larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest
+    link that is fixed to the root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground.
+    ``raised_bodies`` have colliders but do not touch the ground. ``notes`` contains messages for the user.
     """
 
     dofs: dict[str, Dof]
@@ -129,7 +129,7 @@ class Survey:
 
     @property
     def level(self) -> bool:
-        """Whether the root link's z axis points upwards, which most terms require."""
+        """Whether the root link's z axis points upwards, which most reward and termination terms require."""
         return self.up[2] >= _LEVEL
 
 
@@ -241,8 +241,8 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the driven joints except wheels, and the joints without a drive.
 
-    If the robot file drives no leg joint, all leg joints except followers count as driven. If the robot file drives no
-    wheel, all wheels except followers count as driven.
+    If the robot file drives no leg joint, all leg joints except mimic joints count as driven. If the robot file drives
+    no wheel, all wheels except mimic joints count as driven.
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []

@@ -9,17 +9,17 @@ from wheelleg_exp.project.robot_yaml import leg_gains, names, number, wheel_gain
 from wheelleg_exp.project.survey import Survey
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
-_CONTACT = 0.02  # A contact force above this share of the robot's weight counts as a contact.
+_CONTACT = 0.02  # The smallest force that counts as a contact, as a share of the robot's weight.
 _FORCE = 0.02  # The largest random permanent force on the base, as a share of the robot's weight.
 _TORQUE = 0.01  # The largest random permanent torque on the base, as a share of the robot's weight times its height.
-_LOAD = (-0.05, 0.1)  # The largest mass that an event adds to the trunk, as a share of the trunk's mass.
-_ERROR = 0.2  # A height error of this share of the robot's standing height reduces the reward by 1 per second.
-_COST = 0.15  # A motion at a tenth of the robot's natural speeds reduces the reward by this value per second.
+_LOAD = (-0.05, 0.1)  # The smallest and largest mass that an event adds to the trunk, as shares of the trunk's mass.
+_ERROR = 0.2  # The height error that costs a reward of 1 per second, as a share of the robot's standing height.
+_COST = 0.15  # The reward per second that a vertical speed of 0.1 sqrt(g h) or a tilt rate of 0.1 sqrt(g / h) costs.
 _TILT = 0.03  # The largest random tilt of the stock reset event, rad.
-_DIP = 0.003  # A random start tilt may put a wheel into the ground by at most this share of the robot's size.
+_DIP = 0.003  # The largest depth of a wheel in the ground after a random start tilt, as a share of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
 _LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation for an action of 1, rad.
-_WHEEL_EFFORT = 0.25  # A wheel action of 1 at standstill takes this share of the drive's largest torque.
+_WHEEL_EFFORT = 0.25  # The torque of a wheel action of 1 at standstill, as a share of the drive's largest torque.
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
@@ -145,7 +145,7 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
-    # Return smaller ranges of start tilts if those of the stock task would put a wheel or foot into the ground.
+    # Start tilts get smaller ranges if the ranges of the stock task would put a wheel or foot into the ground.
     anatomy = robot.anatomy
     # The positions of the feet are unknown, so their distance is assumed to be half of the robot's size.
     arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
@@ -199,12 +199,12 @@ def _rewards(robot: Survey) -> str:
 
 
 def _tolerance(robot: Survey) -> float:
-    """Return a drift speed that a standing robot should avoid, m/s: that of one unit of wheel action."""
+    """Return a drift speed that a standing robot should avoid, m/s: the speed at a wheel action of 1."""
     return min(_STD, _wheel_scale(robot) * robot.radius) if robot.wheels else _STD
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the wheel speed for an action of 1, rad/s; at standstill, this action takes a quarter of the torque."""
+    """Return the wheel speed, rad/s, for an action of 1, which needs a quarter of the drive's torque at standstill."""
     gains = wheel_gains(robot)
     wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
     return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())

@@ -1,6 +1,6 @@
 """The layout of rerun's viewer: the robot on the left, plots and texts on the right.
 
-The viewer first shows the learning curves of a training, the robot's motion of a play, or the metrics of an evaluation.
+The viewer first shows a training's learning curves, a robot's motion under a policy, or an evaluation's metrics.
 """
 
 from __future__ import annotations

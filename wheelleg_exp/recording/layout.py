@@ -20,7 +20,7 @@ PROPERTIES = "__properties"
 OWN = "wheelleg"  # A recording stores its properties under the name `wheelleg`.
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
 
-FORMAT_VERSION = 2  # Old recordings (format 1) have no properties, and store one vector for each observation group.
+FORMAT_VERSION = 2  # Recordings of format 1 lack metadata such as the seed, and store one vector per observation group.
 STEP, SIM_TIME, ITERATION = "step", "sim_time", "iteration"
 
 _METRES, _ANGLE, _SPEED, _TURNING, _TORQUE = "m", "rad", "m/s", "rad/s", "N·m"
@@ -56,12 +56,12 @@ def join_key(root: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """The rerun entity paths of one recorded environment. ``branch`` is empty if only one environment is recorded."""
+    """The rerun entity paths of one environment, with the prefix ``branch`` if several environments are recorded."""
 
     branch: str
 
     def data(self, *parts: str) -> str:
-        """Return the rerun entity path of recorded numbers or texts of an environment."""
+        """Return the path, in a rerun recording, of numbers or texts of an environment."""
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:

@@ -9,7 +9,7 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """The config section ``recording``. An option that the configs of old runs lack has a default.
+    """The config section ``recording``. Options that the configs of old runs lack have defaults.
 
     Attributes:
         enabled: whether a recording is written.
@@ -34,8 +34,8 @@ class RecordingOptions:
 class Sample:
     """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    A sample starts with the next episode, and ends with the episode in which it reaches the requested number of control
-    steps. Checkpoints do not contain a sample's state, because this state follows from the recorded steps.
+    Recording starts with the first new episode after ``begin``, and stops after the episode that reaches ``enough``
+    control steps. Checkpoints do not store a ``Sample``, because the recording contains all recorded control steps.
     """
 
     def __init__(self) -> None:
@@ -46,15 +46,15 @@ class Sample:
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
         """Start or resume a sample (recorded episodes), of which ``taken`` control steps are already recorded.
 
-        After ``enough`` control steps, a sample ends with the current episode; if ``enough`` is 0, a sample is empty.
-        After ``most`` control steps, a sample ends within an episode. ``is_in_episode`` is true if the current episode
-        is being recorded.
+        After ``enough`` control steps, recording stops at the end of the current episode. If ``enough`` is 0, nothing
+        is recorded. After ``most`` control steps, recording stops within an episode. ``is_in_episode`` is true if the
+        current episode is being recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0
 
     def takes(self, episode_step: int) -> bool:
-        """Return whether to record a control step with the given number within the episode, from 1."""
+        """Return whether to record the control step ``episode_step`` of an episode, whose first step is number 1."""
         begins = episode_step == 1 and self._taken < self._enough
         self._is_in_episode = (self._is_in_episode or begins) and self._taken < self._most
         return self._is_in_episode

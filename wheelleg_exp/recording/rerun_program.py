@@ -48,7 +48,7 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 
 
 def optimize_recording(path: Path) -> str | None:
-    """Compress a closed recording to about a third of its size. Return the reason why compression fails, or None.
+    """Compress a closed recording to about a third of its size. Return why the recording was not compressed, or None.
 
     Compression does not change the recorded values. The compressed file atomically replaces the original file. If the
     disk is full or rerun's program is missing, the recording remains unchanged and without an index.

@@ -9,11 +9,11 @@ that contain the index's position.
 To extend a recording, rerun's SDK writes a temporary file, whose messages, without the index, are appended to the
 recording. Measured with rerun 0.41:
 
-- The SDK's own file stream leaves two threads and about 1 MB in the process for ever, and never returns when the
-  disk is full. ``write_rrd`` does neither. The SDK's function ``write_rrd`` takes 9 ms for 16 rows of 60 entities.
-- The SDK's reader raises an error for a truncated file. rerun's reader terminated the process for 4 of 300 damaged
-files without an index, and for none of 400 damaged files with an index. rerun's own program first rewrites recordings
-that have no index.
+- The file stream of rerun's SDK leaves two threads and about 1 MB in the process for ever, and never returns when the
+  disk is full. ``write_rrd`` leaves no threads, returns on a full disk, and takes 9 ms for 16 rows of 60 entities.
+- The reader of rerun's SDK raises an error for a truncated file. rerun's reader terminated the process for 4 of 300
+  damaged files without an index, and for none of 400 damaged files with an index. rerun's own program first rewrites
+  recordings that have no index.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def encoded_chunks(chunks: Iterable[Any], recording_id: str) -> bytes:
 
 
 def encoded_blueprint(blueprint: Any) -> bytes:
-    """Return the rrd messages that make a blueprint the default layout of a recording."""
+    """Encode a layout of rerun's viewer (blueprint) as rrd messages, which set the default layout of a recording."""
     return b"".join(_temporary_file(lambda path: blueprint.to_blueprint().save(APPLICATION, path)).body())
 
 

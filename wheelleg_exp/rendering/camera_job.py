@@ -13,11 +13,11 @@ from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# The number of channels and the data type of a pixel, for each layer of a picture.
+# Each picture layer has a number of channels and a data type per pixel.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
-_BEYOND = 0.999  # A pixel whose depth exceeds this fraction of the far clipping distance shows no surface.
+_BEYOND = 0.999  # A pixel deeper than 99.9 % of the far clipping distance shows no surface.
 _AMBIENT = 0.4
-_HIDDEN = 5  # the MuJoCo geom group of hidden geoms, which MuJoCo does not draw
+_HIDDEN = 5  # MuJoCo does not draw the geoms in geom group 5.
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,12 @@ class CameraOrder:
     width: int
     height: int
     clipping_range: tuple[float, float]
-    layers: Sequence[Layer]  # colours, depths along the camera's axis, m (inf: no surface), or geom ids (-1: no geom)
+    layers: Sequence[Layer]  # A depth is along the camera's axis, m (inf: no surface); a geom id of -1 means no geom.
 
 
 @dataclass(frozen=True)
 class Poses:
-    """The joint positions of n simulations, (n, nq). Each simulation gets its own picture, with all picture layers."""
+    """The joint positions (n, nq) of n simulations, each of which gets a picture per layer (colour, depth, geom)."""
 
     qpos: Array
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAR = 1e6  # Objects whose distance from the camera exceeds this limit, m, are not drawn.
+FAR = 1e6  # Objects more than 1e6 m away from the camera are not drawn.
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,12 @@ class Shape:
     """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh."""
 
     kind: str
-    size: tuple[float, ...]  # half edges of a box, m; radius and half length of a cylinder or capsule; none for a mesh
+    size: tuple[float, ...]  # A solid has half edges, semi-axes, or a radius and a half length, m; a mesh has no size.
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1
-    vertices: NDArray[np.float64] | None = None  # the vertices of a mesh, (n, 3), m
-    faces: NDArray[np.int64] | None = None  # the vertex indices of the triangles of a mesh, (m, 3)
+    vertices: NDArray[np.float64] | None = None  # A mesh has n vertices, (n, 3), m.
+    faces: NDArray[np.int64] | None = None  # A mesh has m triangles of three vertex indices, (m, 3).
     normals: NDArray[np.float64] | None = None  # (n, 3)
 
     def corners(self) -> Array:
@@ -69,8 +69,8 @@ class Scene:
     bodies: Mapping[str, Sequence[Shape]]
     fixed: Sequence[Shape]
     ground: Ground | None
-    root: int  # the index of the body which the camera follows
-    size: float  # the approximate height of the drawn robot, m
+    root: int  # The camera follows the body with the index `root`.
+    size: float  # The drawn robot is approximately `size` m high.
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
@@ -79,13 +79,13 @@ def points(scene: Scene, pos: Array, quat: Array) -> Array:
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
-AZIMUTH, ELEVATION = 142.0, -14.0  # the angles of the camera, degrees, in MuJoCo's definition
-FOV = 30.0  # the camera's vertical field of view, degrees; a small angle does not distort the robot
-_FILLED = 0.64  # The robot fills this fraction of the picture's height or width.
+AZIMUTH, ELEVATION = 142.0, -14.0  # MuJoCo defines the camera's azimuth and elevation, degrees.
+FOV = 30.0  # The camera's vertical field of view is 30 degrees, because a small angle does not distort the robot.
+_FILLED = 0.64  # The robot fills 64 % of the picture's height or width.
 
 
 def camera_distance(cloud: Array, aspect: float) -> float:
-    """Return the camera distance, m, at which ``points`` around the origin fill the robot's part of the picture."""
+    """Return the camera distance, m, at which the points ``cloud`` fill 64 % of the picture's height or width."""
     right, up, back = camera_axes()
     tall = _FILLED * np.tan(np.radians(FOV) / 2)
     return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / (tall * aspect), np.abs(cloud @ up) / tall)))

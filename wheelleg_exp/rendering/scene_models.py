@@ -16,7 +16,7 @@ from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
 VISUAL_GROUP = 2  # By convention, the geom group 2 of a MuJoCo model contains the visual geoms.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # the number of size parameters of each kind of solid
+_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # MuJoCo defines 2 or 3 sizes for each kind of solid.
 _KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in (*_SIZES, "mesh")}
 _SOLIDS = {int(_KINDS[name]): (name, count) for name, count in _SIZES.items()}
 _SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -75,7 +75,7 @@ def is_plane(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return the geoms to draw of a body (visual geoms, else colliders), and its colliders if they are not drawn."""
+    """Return a body's drawn geoms (visual geoms, or colliders of a body without visual geoms) and hidden colliders."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -217,7 +217,7 @@ def _floor(spec: Any, height: float, tile: float) -> None:
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
     )  # fmt: skip
-    # The factor is 0.5 because a checker texture has two squares along each edge.
+    # A checker texture has two squares along each edge, so the texture repeats once per two tiles.
     material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
     spec.worldbody.add_geom(

@@ -57,7 +57,7 @@ def write(
 
 
 def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
-    """Return a video stream and the name of its codec: H.264, or MPEG-4 if PyAV has no H.264 encoder."""
+    """Return a stream of H.264 video, or of MPEG-4 video if PyAV has no H.264 encoder, and the name of the codec."""
     import av
 
     for codec in _CODECS:
@@ -65,7 +65,7 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
             continue
         try:
             stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
-        except (ValueError, av.FFmpegError):  # PyAV has a decoder but no encoder for this codec.
+        except (ValueError, av.FFmpegError):  # `av.codecs_available` also lists codecs without an encoder.
             continue
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"

@@ -12,13 +12,13 @@ from wheelleg_exp.report.page_blocks import Card, Tone
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
-_GOOD, _FAIR = 0.95, 0.5  # A card is green if at least 95 % of episodes reach the time-out, yellow from 50 %.
+_GOOD, _FAIR = 0.95, 0.5  # The share of episodes with a time-out is green from 95 %, yellow from 50 %, red below.
 # The colour in which the report shows each status of a run.
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
 def played(subject: Subject) -> dict[str, Any]:
-    """Return the metrics of a training run's last play, or of a deployed agent's run; empty if no metrics exist."""
+    """Return the metrics of a run's last ``wheelleg play``, or of a zero or random agent's run; can be empty."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
         return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
@@ -27,7 +27,7 @@ def played(subject: Subject) -> dict[str, Any]:
 
 
 def ended(figures: Mapping[str, Any]) -> int | None:
-    """Return how many episodes ended during a play; None if their number is unknown."""
+    """Return how many episodes ended during ``wheelleg play``; None if the number of ended episodes is unknown."""
     episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
     return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
 
@@ -82,7 +82,7 @@ def time_outs(subject: Subject) -> list[str]:
 
 def reached_end(subject: Subject) -> float | None:
     """Return the share of environments in which the last training episode reached the time-out without a failure."""
-    # Old runs recorded only the share of all time-outs, including episodes that failed at the time-out.
+    # Old runs recorded only the share of episodes with a time-out, even if a robot also failed in the same step.
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
         survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]

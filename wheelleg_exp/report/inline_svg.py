@@ -55,7 +55,7 @@ def clean(svg: str, prefix: str, title: str) -> str:
     kept.set("viewBox", " ".join(box))
     kept.set("width", box[2])
     kept.set("height", box[3])
-    # matplotlib sets the following attribute in a style sheet, which would apply to the whole HTML page.
+    # matplotlib sets ``stroke-linejoin`` in a style sheet, which would apply to the whole HTML page.
     kept.set("stroke-linejoin", "round")
     kept.set("role", "img")
     kept.set("aria-label", title)
@@ -75,7 +75,7 @@ def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
 def _attributes(element: ElementTree.Element, prefix: str) -> Iterator[tuple[str, str]]:
     for name, value in element.attrib.items():
         local = _local(name)
-        # A reference inside the SVG gets the prefix of the ids; references to files outside of the SVG are removed.
+        # SVG ids and references to these ids get a prefix; references to files outside of the SVG are removed.
         if local == "href" and value.startswith("#"):
             yield "href", f"#{prefix}-{value[1:]}"
         elif local == "id":
@@ -99,7 +99,7 @@ _LETTER, _LEGEND_ROW = 0.075, 0.17  # the width of a character and the height of
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
-    """Return the panels of a plot as drawings of a report, in pairs if ``paired``; ``prefix`` makes SVG ids unique."""
+    """Draw plot panels as SVG for a report, at most two in a row if ``paired``; ``prefix`` makes the SVG ids unique."""
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 
 
@@ -110,7 +110,7 @@ def _plot(panel: Panel, prefix: str) -> Plot:
     figure = tile([replace(panel, title="")], size=(_WIDTH, height))
     axes = figure.axes[0]
     if not axes.axison and not [*axes.lines, *axes.collections, *axes.patches, *axes.images]:
-        # A panel of a plot that contains only text needs no drawing.
+        # Show a plot panel that contains only text as a caption, without an SVG.
         return Plot("", panel.title, " ".join(text.get_text() for text in axes.texts))
     with styled():
         rows = _legends_below(figure)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
-_HIGH, _FULL = 0.01, 0.1  # A table cell is yellow from 1 % of the time at the effort limit, red from 10 %.
+_HIGH, _FULL = 0.01, 0.1  # Mark a joint yellow if it is at its effort limit for 1 % of the time, red for 10 %.
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ _FORMATS: Mapping[str, Callable[[Any], str]] = {
 _SHOWN_ELSEWHERE = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")
 _OF_PLAY = ("checkpoint", "checkpoint_sha256", "seed", "overrides")
 _PLAYS_SHOWN = 12
-_FIRST = ("Height", "Pitch")  # The first plot panels, which show whether the robot is upright.
+_FIRST = ("Height", "Pitch")  # Plots of height and pitch are first, because they show whether the robot is upright.
 
 
 def performance_blocks(subject: Subject) -> list[Block]:
@@ -148,7 +148,7 @@ def performance_blocks(subject: Subject) -> list[Block]:
 
 
 def recording_of_play(subject: Subject) -> Path | None:
-    """Return the path of the recording of a run's last play, or of a deployed agent's run; None without a recording."""
+    """Return the recording file of a run's last ``wheelleg play``, or of an agent's run; None without a recording."""
     if subject.status == AGENT:
         return subject.file("recording.rrd")
     for entry in reversed(subject.additions("play")):
@@ -182,7 +182,7 @@ def _panels(name: str, recording: Recording) -> list[Panel]:
 
     try:
         return PLOTS[name].panels(Source(recording))
-    except RunDirectoryError:  # The recording lacks the plot's data.
+    except RunDirectoryError:  # The recording lacks the data that this plot needs.
         return []
 
 
@@ -281,7 +281,7 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
 _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
-_SHOWN_FIRST = 12  # The number of metrics of a test that the report shows without a collapsed block.
+_SHOWN_FIRST = 12  # The number of metrics of an evaluation test that a report shows before the collapsed block.
 
 
 def evaluated(subject: Subject) -> bool:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
-_FIRST, _LAST, _PLAY = 0, -1, 1  # The report shows the first and last training episode and one play.
+_FIRST, _LAST, _PLAY = 0, -1, 1  # A report shows the first and last training episode, and an evaluated episode.
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Look:
 
     @cached_property
     def play(self) -> Recording | WheellegError | None:
-        """The recording of the last play or agent's run, or the error from opening the recording; None if missing."""
+        """The recording of the last ``wheelleg play`` or of an agent's run, or the error from reading it; or None."""
         return _opened(standing.recording_of_play(self.subject))
 
     def hero(self) -> Picture | None:
@@ -80,7 +80,7 @@ class Look:
         return None
 
     def of_play(self) -> list[Block]:
-        """Return the pictures and curves of the policy's last play."""
+        """Return the pictures and curves of the policy's last recorded ``wheelleg play``."""
         recording = self.play
         if recording is None:
             return []
@@ -139,7 +139,7 @@ class Look:
 
     @property
     def notes(self) -> Sequence[str]:
-        """The reason why the report has no pictures of the robot, for the message of the command."""
+        """The reason why the report has no pictures of the robot, which ``wheelleg report`` prints."""
         return [f"no pictures of the robot: {self._missing}"] if self._missing else []
 
 
@@ -163,11 +163,11 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return the motion sample (recorded episodes) and its episode that the pictures of the report show."""
-    # ``_FIRST`` selects the first recorded training episode.
-    # ``_PLAY`` selects the first episode of a play, because the report lists the metrics of this episode.
-    # ``_LAST`` selects the first complete episode of the last motion sample that contains a complete episode.
-    # If the recording has no complete episode, ``_LAST`` selects the longest episode of the last motion sample.
+    """Return a sample (consecutive recorded steps), and the episode in this sample that the report's pictures show."""
+    # With ``_FIRST``, the pictures show the first recorded training episode.
+    # With ``_PLAY``, the pictures show the first episode of ``wheelleg play``, whose metrics the report lists.
+    # With ``_LAST``, the pictures show a complete episode of the last recorded sequence that contains one.
+    # If no recorded episode is complete, the pictures show the longest episode of the last recorded sequence.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):
@@ -181,7 +181,7 @@ def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
 
 
 def _episodes(source: Source, sample: Sample) -> list[Episode]:
-    """Return the episodes in consecutive recorded control steps; the first and the last can be incomplete."""
+    """Split a sample (consecutive recorded steps) into episodes; the first and last episodes can be incomplete."""
     clock = source.clock()
     if clock is None:
         return []
@@ -217,7 +217,7 @@ def _clock(seconds: float) -> str:
 def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
     """Return pictures of the robot at several moments, as data URIs, with the same camera distance in all pictures.
 
-    ``shown`` is a recording's scene and motion. ``size`` is the width and height of each picture, px.
+    ``shown`` contains the shapes and the motion of a recorded robot. ``size`` is each picture's width and height, px.
     """
     from PIL import Image
 

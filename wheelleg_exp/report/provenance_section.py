@@ -1,7 +1,7 @@
 """Build the sections of a report on the provenance and reproducibility of a run.
 
 The report lists the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One section
-compares a run with its manifest, its replays, and runs that have the same settings and seed.
+of the report compares a run with its manifest, with its replays, and with runs that have the same settings and seed.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # The largest number of compared runs, because each comparison of two runs opens checkpoints.
+_COMPARED = 3  # A report compares at most three runs of each kind, because each comparison opens checkpoints.
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -224,9 +224,9 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 class Repeat:
     """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
-    label: str  # the task and id of the run that is compared
-    how: str  # the relation to the reported run: ``replay``, ``original``, or ``same settings``
-    verdict: str  # the result of comparing the two runs, or ``not compared``
+    label: str  # The task and id of the run that is compared with the reported run.
+    how: str  # The reason to expect equal runs: ``replay``, ``original``, or ``same settings``.
+    verdict: str  # The result of the comparison with the reported run, or ``not compared``.
     reason: str
     lines: Sequence[str]  # the whole comparison
 
@@ -266,7 +266,7 @@ def judge(subject: Subject) -> Verdict:
     repeats = list(_repeats(subject, subject.run)) if subject.status != "running" else []
     try:
         findings = verify_run(subject.run)
-    except Exception as error:  # Damaged files of a run can raise any error.
+    except Exception as error:  # Reading damaged files of a run can raise any error.
         return Verdict(None, None, repeats, subject, str(error))
     failed = [check for check in findings.checks if _lines(subject, check.failures)]
     return Verdict(_card(subject, bool(failed), repeats), findings, repeats, subject)
@@ -308,7 +308,7 @@ def _found(verdict: Verdict) -> list[Block]:
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Return the result of one check of a run's manifest as text; report files are not counted."""
+    """Return the result of one check of a run as text; the number of checked files excludes report files."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)
@@ -392,7 +392,7 @@ def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:
     label = f"{folder.parent.name}/{folder.name}"
     try:
         found = compare_runs(run, RunDirectory.open(folder, run.root), common=True)
-    except Exception as error:  # Damaged files of a run can raise any error.
+    except Exception as error:  # Reading damaged files of a run can raise any error.
         return Repeat(label, how, "not compared", str(error), [])
     verdict = "not compared" if found.parts["files"].state == "different" else found.verdict
     return Repeat(label, how, verdict, f"{counted(found.iterations, 'iteration')}: {found.reason}", found.lines())

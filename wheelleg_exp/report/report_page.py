@@ -115,7 +115,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
         command=_or(lambda: headline.command(subject), ""),
         hero=_or(look.hero, None),
         sections=_sections(subject, look, verdict),
-        # Building the sections can add entries to `subject.problems`, so the notes about problems are built last.
+        # Build the notes after the sections of the page, because building sections can add problems to the notes.
         notes=[Note(problem) for problem in dict.fromkeys([*_not_finite(subject), *subject.problems])],
         version=__version__,
     )
@@ -170,7 +170,7 @@ def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
             blocks += builder()
         except WheellegError as error:
             blocks.append(Note(f"This part cannot be shown: {error}."))
-        except Exception as error:  # Damaged files of a run can raise any error.
+        except Exception as error:  # Reading damaged files of a run can raise any error.
             blocks.append(Note(f"This part cannot be shown: {type(error).__name__}: {error}."))
     return Section(name, title, lead, blocks)
 

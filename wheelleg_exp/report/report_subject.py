@@ -19,7 +19,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
 
 AGENT = "agent"
-KIND = "report"  # The kind of the manifest's entries for reports.
+KIND = "report"  # A run's manifest lists the run's reports as entries of this kind.
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
 
 T = TypeVar("T")
@@ -35,13 +35,13 @@ class Series:
 
 @dataclass
 class Subject:
-    """The subject of a report: one training run, or one run of a deployed agent."""
+    """The subject of a report: one training run, or one run of a zero or random agent."""
 
     path: Path
-    run: RunDirectory | None  # the training run; None for a deployed agent's run, which has no manifest
+    run: RunDirectory | None  # the training run; None for a zero or random agent's run, which has no manifest
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT  # the run's status in its manifest, ``crashed``, or ``agent``
-    config: dict[str, Any] = field(default_factory=dict)  # the resolved config sections ``env`` and ``agent``
+    status: str = AGENT  # the run's status in its manifest, ``crashed`` for a dead process, or ``agent`` for an agent
+    config: dict[str, Any] = field(default_factory=dict)  # the run's resolved config sections ``env`` and ``agent``
     overrides: list[str] | None = None  # the user's Hydra overrides, or None if they are unknown
     choices: dict[str, Any] = field(default_factory=dict)  # Hydra's option for each config group (``task``, …)
     config_dirs: tuple[Path, ...] = ()
@@ -95,7 +95,7 @@ class Subject:
 
 
 def open_subject(name: str | Path, root: Path) -> Subject:
-    """Open a training run by its path, by its id, or as ``latest``; open a deployed agent's run by its path."""
+    """Open a training run by its path, its id, or as ``latest``; open a zero or random agent's run by its path."""
     folder = Path(name)
     if (folder / _FIGURES).is_file() and (folder / _SETTINGS).is_file() and not (folder / MANIFEST_NAME).exists():
         subject = Subject(folder.resolve(), None)

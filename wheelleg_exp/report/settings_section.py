@@ -72,7 +72,8 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     """Yield those parameters of the run that differ from the task's defaults.
 
     ``default`` is the config of the run's task without overrides. ``again`` is the task's config with the run's
-    overrides, composed anew on this machine. If ``again`` and the run have equal values, ``again`` tells their origin.
+    overrides, composed anew on this machine. The config ``again`` gives the origin of those values that are equal in
+    ``again`` and in the run.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -112,7 +113,7 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 def _require_harmless(words: Sequence[str]) -> None:
     """Raise ConfigError if a run's Hydra arguments would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
-        raise ConfigError("the recorded command line is not composed here, because it could read other files")
+        raise ConfigError("the run's recorded overrides are not composed, because Hydra could then read other files")
 
 
 def _shown(value: Any) -> str:
@@ -120,7 +121,7 @@ def _shown(value: Any) -> str:
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
-    # The origin of a config value is known only if the config composed on this machine has the run's value.
+    # The origin of a run's config value is known only if composing the config on this machine gives an equal value.
     if again is None:
         return _THEN
     node: Any = again.config

@@ -84,8 +84,8 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 def sentence(groups: Sequence[Group]) -> str:
     """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the runs' settings change the meaning of a return, the headline compares the shares of time-outs in training, or
-    else the survival in the last plays.
+    If the runs differ in rewards, episode length, or discount, the headline compares their shares of time-outs instead
+    of returns. If the time-outs are unknown, the headline compares the survival rates that ``wheelleg play`` measured.
     """
     text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
@@ -179,7 +179,7 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 def course(
     series: Sequence[tuple[Sequence[int], Sequence[float]]],
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return training iterations, and a scalar's mean and sample standard deviation over several runs at each of them.
+    """Return the iterations that all runs have, and a scalar's means and standard deviations over the runs.
 
     ``series`` contains the training iterations and the scalar's values of each run. For a single run, the standard
     deviation is 0. Only iterations that all runs have are used, so that the mean does not jump where one run ends. Long
@@ -223,10 +223,10 @@ COMPARISON = "comparison.html"
 
 
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
-    """Return the subject of a report about several runs, and the runs; None if ``names`` is a single run.
+    """Return the folder and the opened runs of a report about several runs; None if ``names`` is a single run.
 
-    The subject of the report is the sweep, or the current folder for runs without a sweep. ``names`` contains the paths
-    or ids of runs and sweeps; ``latest`` means the latest run.
+    The folder of the report is that of the sweep, or the current folder for runs without a sweep. ``names`` contains
+    the paths or ids of runs and sweeps; ``latest`` means the latest run.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:
@@ -247,7 +247,7 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
 
 
 def several_page(about: Subject, runs: Sequence[Subject], command: Sequence[str]) -> Page:
-    """Return the report page about several runs; ``about`` is the subject that ``open_several`` returned."""
+    """Return the report page about several runs; ``about`` is the sweep's folder or the current folder."""
     groups = grouped(runs)
     tasks = list(dict.fromkeys(run.task for run in runs))
     unfinished = sum(run.status != "finished" for run in runs)

@@ -23,7 +23,7 @@ from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_m
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-# rsl_rl does not know the following keys of the config section `agent`.
+# `OWN_KEYS` are the keys of the config section `agent` that rsl_rl does not know.
 OWN_KEYS = (
     *("device", "torch_threads", "matmul", "graph_update", "max_iterations", "average_iterations"),
     *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint"),

@@ -41,8 +41,8 @@ _STATES: dict[str, Callable[[], Any]] = {
 }
 
 
-# The number of addends above which torch splits a sum among threads, so that the sum depends on the thread count.
-# The number is torch's constant at::internal::GRAIN_SIZE.
+# Torch splits a sum with more addends than `SPLIT_ABOVE` among threads, so that the sum depends on the thread count.
+# The value of `SPLIT_ABOVE` is torch's constant at::internal::GRAIN_SIZE.
 SPLIT_ABOVE = 32768
 
 

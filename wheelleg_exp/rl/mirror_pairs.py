@@ -19,10 +19,11 @@ _MIN_AXIS_COSINE = 0.99
 
 
 def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
-    r"""Return the index of each joint's mirror image. A joint that ``pairs`` does not match is its own mirror image.
+    r"""Return the index of each joint's mirror image; a joint that no key of ``pairs`` matches is its own mirror image.
 
-    ``pairs`` maps a regular expression for the full joint names of one side to the name of the mirror image, which can
-    contain ``\1`` for a matched group. In ``pairs``, the value None removes a pair.
+    A key of ``pairs`` is a regular expression that matches the full names of joints on one side of the robot. The value
+    of a key in ``pairs`` is the joint's name on the other side, in which ``\1`` stands for a matched group of the key.
+    An entry of ``pairs`` with the value None has no effect.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -97,8 +98,8 @@ _MAX_FRAME_ERROR = 0.02
 class BodyImages:
     """Finds the mirror image of each body of a robot.
 
-    A body that a joint moves is paired by its joint, and a body without a joint is paired by its position. ``names``
-    are the body names, starting with the root, and ``joint_images`` are the indices of the joints' images.
+    The mirror image of a body with a joint is the body of the mirrored joint; other bodies are found by their position.
+    ``names`` are the body names, starting with the root. ``joint_images`` has the index of each joint's mirror image.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class BodyImages:
                 self._images[body] = others[int(apart.argmin())] if others else None
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
-        """Return the name of a body's mirror image. Raise ConfigError for ``key`` if it has none.
+        """Return the name of a body's mirror image; raise ConfigError with ``key`` if the body has no mirror image.
 
         If ``with_axes`` is true, the axes of a body and of its mirror image must be mirror images.
         """

@@ -30,7 +30,8 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
 }
 # Mirror rules (changes in a mirror image) for observations of any width, such as one number for each joint.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# A mirror rule for bodies has signs, the name of the parameter that selects bodies, and whether body axes must match.
+# A mirror rule (change in a mirror image) for bodies has one sign for each number that is observed of a body.
+# A mirror rule for bodies also names the parameter that selects bodies, and says whether body axes must be mirrored.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -44,7 +45,7 @@ COMMAND_RULE = "command"  # The placeholder for an observed command's mirror rul
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# The mirror rules (changes in a mirror image) of built-in observations by the name of the observation's function.
+# For each mirror rule (change in a mirror image), list the functions of the built-in observations that use the rule.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
@@ -70,7 +71,7 @@ _NAMES_BY_RULE = {
     "body_vectors": ("body_projected_gravity_b",),
 }
 TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
-# The mirror rules (changes in a mirror image) of built-in commands by the name of the command's class.
+# The keys are the classes of built-in commands, and the values are mirror rules (changes in a mirror image).
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",
@@ -99,7 +100,7 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     ``mirror_rays`` raises ConfigError for a sensor that is not a ray caster or whose rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
-        raise ConfigError("this sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
+        raise ConfigError("the observation needs a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     flip = torch.tensor([1.0, -1.0, 1.0], device=sensor.device)
     found = torch.cat([part.expand(sensor.num_rays, 3) for part in sensor.rays], dim=1)
@@ -113,9 +114,9 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
 def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
     """Return how an IMU's measurement (a vector, pseudovector, or quaternion) changes in a mirror image.
 
-    R is the rotation from the IMU's axes to its body's axes, and M is the matrix of the mirror. The mirror image of a
-    vector v is R^T M R v, and of a pseudovector v -R^T M R v. Each entry of R^T M R must be -1, 0, or 1. ``mirror_imu``
-    raises ConfigError unless ``sensor`` is an IMU and its own mirror image.
+    With the mirror matrix M and the rotation R from the IMU's axes to its body's axes, a vector v becomes R^T M R v,
+    and a pseudovector v becomes -R^T M R v. The mirror matrix in the IMU's axes may only have the entries -1, 0, 1.
+    ``mirror_imu`` raises ConfigError unless ``sensor`` is an IMU and its own mirror image.
     """
     if not isinstance(sensor, Imu):
         raise ConfigError("the observed sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")

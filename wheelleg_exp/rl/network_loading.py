@@ -17,7 +17,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 @dataclass(frozen=True)
 class Initial:
-    """Load networks with which a training starts instead of random networks.
+    """Networks from a checkpoint, with which a training starts instead of random networks.
 
     ``parts`` are the parts of the checkpoint ``state`` to load: ``actor``, ``critic``, ``optimizer``. ``facts``
     describe the checkpoint's origin.

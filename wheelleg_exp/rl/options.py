@@ -39,15 +39,15 @@ class Learning:
 
     Attributes:
         max_non_finite: share of the environments whose episode may end in one iteration because a number was NaN or
-            inf; one episode is always allowed. ``max_non_finite`` never changes a trained policy.
+            inf; one episode is always allowed. ``max_non_finite`` can stop a training, but never changes the policy.
         matmul: precision of matrix products in the update: `float32`, `bfloat16` (on CPUs; weights and sums stay
             float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 if the CPU has units for it, tf32 on a
             GPU. Acting always uses float32.
         graph_update: whether PPO's acting and update are CUDA graphs on a GPU. rsl_rl itself updates PPO with RND,
             mirrored samples, or recurrent networks.
-        average_iterations: number of iterations over which the policy's weights are averaged exponentially. Plays,
-            evaluations, exports, and other trainings use the averaged weights. The training continues with the policy's
-            current weights. 0 means no average.
+        average_iterations: number of iterations over which the policy's weights are averaged exponentially; 0 means no
+            average. The averaged policy weights are used to play, evaluate, export, and start other trainings. Policy
+            updates change a policy's current weights, not the averaged weights.
     """
 
     algorithm: Section
@@ -96,7 +96,7 @@ def agent_options(agent: Any) -> type:
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# Parameters that are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
+# These parameters are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,

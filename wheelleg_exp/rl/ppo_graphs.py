@@ -87,7 +87,7 @@ class CapturedUpdate:
         self._advantages.copy_(storage.advantages)
         self._rate.fill_(algorithm.learning_rate)
         self._sums.zero_()
-        # Make Adam run as one kernel that reads the learning rate from the GPU. Return the previous settings of Adam.
+        # Make Adam run as one kernel that reads the learning rate from the GPU. Store the previous settings of Adam.
         optimizer = self._algorithm.optimizer
         settings = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
         for group in optimizer.param_groups:

@@ -37,7 +37,7 @@ _COMMUNICATION = Path(dist.__file__).parent
 class FirstRankFailed(WheellegError):
     """Raised on all processes (ranks) but the first after a training failed; the first rank reports the reason.
 
-    ``keeps`` is true if the first process (rank) saves the failed state and a checkpoint of the last full iteration.
+    ``keeps`` is true if the first process (rank) saves the state with NaN or inf, and the last iteration's checkpoint.
     """
 
     exit_code = EXIT_FAILED

@@ -13,13 +13,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # The prefix before a term's config key in the key of a scalar.
+SCALAR = "Diagnostics/non_finite/"  # The name of a failed term's scalar is this prefix and the term's config key.
 
 
 class FailureCount:
     """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
-    Each training iteration accepts ``agent.max_non_finite`` times N failed episodes, but at least one.
+    Each iteration accepts failures in the share ``agent.max_non_finite`` of all environments, and at least one failure.
     """
 
     def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
@@ -49,7 +49,7 @@ class FailureCount:
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, int]:
-    """Return the number of episodes with NaN or inf, by config key, from the scalars of a training iteration."""
+    """Extract from an iteration's scalars the number of episodes with NaN or inf, by the failed term's config key."""
     return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
 
 
@@ -105,7 +105,7 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the running sums, the last episodes, and all logs since the last ``collect``."""
+        """Return the sums of running episodes, the last ended episodes, and the logs since ``collect`` was called."""
         self._take_pending()
         ended = {"returns": list(self._returns), "lengths": list(self._lengths)}
         values = {key: list(values) for key, values in self._values.items()}

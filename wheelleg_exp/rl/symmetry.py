@@ -26,8 +26,8 @@ _MAX_TARGET_ERROR = 1e-4  # rad
 class Mirror:
     """Mirrors observations and actions of an environment, so that left and right are exchanged.
 
-    ``groups`` are the observation groups that networks read. ``Mirror`` raises ConfigError if the robot is not
-    symmetric or if it cannot mirror an observation term.
+    ``groups`` are the observation groups that networks read. ``Mirror`` raises ConfigError for a robot that is not
+    symmetric, and for an observation term whose mirror image is unknown.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Mirror:
             path = f"env.actions.{name}"
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
-                raise ConfigError("the mirror image of this action term is unknown", key=path, expected=expected)
+                raise ConfigError("an action term cannot be mirrored from left to right", key=path, expected=expected)
             # Process actions of 0 and 1 to find each action's offset and scale, then restore the action term's state.
             saved, zeros = term.state_dict(), torch.zeros_like(term.raw_actions)
             term.process_actions(zeros)
@@ -185,7 +185,7 @@ def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
 
 
 def is_mirror_loss_only(symmetry: Any) -> bool:
-    """Return whether rsl_rl uses ``left_right`` only for a mirror loss, so that ``mirror_loss`` can replace it."""
+    """Return whether rsl_rl uses ``left_right`` only for its mirror loss, which ``mirror_loss`` computes faster."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
     return ours and not symmetry.use_data_augmentation
 

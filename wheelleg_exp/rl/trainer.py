@@ -44,8 +44,8 @@ class Trainer:
 
     Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
     torch's global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. ``initial``
-    contains networks to start from, but exploration and simulation start anew. Each of the processes ``ranks`` has its
-    own trainer.
+    contains trained networks to start from, but no state of exploration and simulation. Each of the processes ``ranks``
+    has its own trainer.
     """
 
     def __init__(
@@ -221,7 +221,7 @@ class Trainer:
         except (RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             expected = "the state of the same networks, terms, robot and number of environments"
-            raise RunDirectoryError(f"the saved state does not fit: {reason[:200]}", expected=expected) from error
+            raise RunDirectoryError(f"a checkpoint does not fit the run: {reason[:200]}", expected=expected) from error
         self.iteration = saved["iter"] + 1
 
     @contextmanager

@@ -90,8 +90,8 @@ def hardware() -> dict[str, Any]:
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
     """Return the environment variables that can change the results of a run, sorted by name.
 
-    ``also`` contains the names of further environment variables to return, such as those that a config requests. An
-    environment variable whose name contains a word such as ``TOKEN`` or ``PASSW`` is left out.
+    ``also`` contains the names of further environment variables to return, such as those that a config requests. The
+    result lacks environment variables whose names contain a word such as ``TOKEN`` or ``PASSW``.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
@@ -104,9 +104,9 @@ def replay_environ(
 ) -> dict[str, str]:
     """Return the environment variables for a process that must compute the same numbers as a recorded run.
 
-    Environment variables that change computed numbers, and those in ``also``, get the values recorded with the run. An
-    environment variable that changes computed numbers is unset if the run did not have this variable. Environment
-    variables for paths, devices, and preloaded libraries keep their present values.
+    Environment variables that change computed numbers, and those in ``also``, get the values recorded with the run. The
+    returned environment lacks variables that change computed numbers and that the recorded run did not have.
+    Environment variables for paths, devices, and preloaded libraries keep their present values.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}

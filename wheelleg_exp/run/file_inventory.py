@@ -28,7 +28,7 @@ class FileRecord(TypedDict):
 class FileFindings:
     """The sorted relative paths of a run's files that differ from the run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # Missing files, including files that a symbolic link replaces.
+    missing: list[str] = field(default_factory=list)  # The files that are missing, or replaced by symbolic links.
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
@@ -74,7 +74,7 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 def odd_entries(directory: Path) -> dict[str, str]:
     """Return the names and types of entries below ``directory`` that are neither folders nor regular files."""
     # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end.
-    # The search for links, pipes, and devices ignores files that disappear meanwhile.
+    # The search for links, pipes, and devices ignores files that disappear during the search.
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):
@@ -92,7 +92,8 @@ def odd_entries(directory: Path) -> dict[str, str]:
 def relative_name(directory: Path, path: Path) -> str:
     """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
 
-    A relative ``path`` that is not below ``directory`` when read from the working directory starts at ``directory``.
+    A relative ``path`` starts at the working directory; if it is then outside ``directory``, it starts at
+    ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):

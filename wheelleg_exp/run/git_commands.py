@@ -48,7 +48,7 @@ class Repository:
     """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)  # Environment variables to add for every git command.
+    environ: dict[str, str] = field(default_factory=dict)  # The environment variables that every git command gets.
     settings: dict[str, str] = field(default_factory=dict)  # Git settings that replace the user's settings.
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
@@ -117,7 +117,7 @@ def join_nul(names: Iterable[str]) -> bytes:
 def scratch_index(repository: Repository) -> Iterator[Repository]:
     """Yield a copy of ``repository`` that uses a temporary copy of git's index and a temporary git object store.
 
-    Git commands on the yielded copy do not change the user's index and object store, and run no filter programs.
+    Git commands on this copied repository change neither the user's index nor object store, and run no filter programs.
     """
     index = repository.top / repository.text("rev-parse", "--git-path", "index")
     objects = repository.top / repository.text("rev-parse", "--git-path", "objects")

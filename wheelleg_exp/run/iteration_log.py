@@ -21,7 +21,7 @@ class Line:
     iteration: int
     digests: dict[str, str]  # by name
     scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
-    digest_format: int | None = None  # The version of the algorithm that computes hashes.
+    digest_format: int | None = None  # The version of the algorithm that computed the hashes in the log line.
     content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
     end: int = 0  # The position of the log line's end in the log file, in bytes.
 

@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # In manifest format 1, the hash covers the values, not the file's bytes.
+FORMAT_WITH_VALUE_DIGEST = 1  # The hash in a manifest of format 1 covers the values, not the bytes of the file.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -110,10 +110,10 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 
 
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
-    """Return a document as JSON text whose last key, ``sha256``, is a hash of all bytes of the text.
+    """Return a document as JSON text; the last key, ``sha256``, is a hash of the text with zeros instead of the hash.
 
-    While the hash ``sha256`` is computed, 64 zeros take its place in the JSON text. If ``broken`` is true, the text has
-    zeros instead of a digest: the old document did not match its digest, and a new digest would hide the change.
+    If ``broken`` is true, the text has zeros instead of a hash, because a new hash would hide a change of the old
+    document.
     """
     text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -122,7 +122,7 @@ def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> st
 
 
 def bytes_match_digest(data: bytes) -> bool:
-    """Return whether the bytes are exactly a text that the function ``text_with_digest`` returned."""
+    """Return whether ``data`` is an unchanged JSON text, with a valid hash, from the function ``text_with_digest``."""
     found = _END.search(data)
     if found is None:
         return False
@@ -131,7 +131,7 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether the values of a manifest of format 1 match the manifest's hash; None without a hash."""
+    """Return whether the values of a manifest in the old format 1 match the manifest's hash; None without a hash."""
     # Manifest format 1 hashes rounded numbers, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
@@ -155,7 +155,7 @@ _PROCESS_KEYS = (
 )
 
 _LOCK_TIMEOUT_S = 20.0
-# The key that a resume's entry in the manifest has until the resume has written the changed snapshot files.
+# While a resume still has to write changed config files, its entry in the manifest has the key `files_to_write`.
 _PENDING = "files_to_write"
 
 
@@ -261,7 +261,7 @@ class Manifest:
         return self.data["results"]
 
     def matches_digest(self) -> bool | None:
-        """Return whether the manifest matches the hash inside the manifest; None if format 1 has no hash."""
+        """Return whether the manifest matches its own hash; None for a manifest in the old format 1 without a hash."""
         if self.data["format"] == FORMAT_WITH_VALUE_DIGEST:
             return values_match_digest(self.data)
         with for_people(self.path, "read"):
@@ -312,8 +312,8 @@ class Manifest:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
         A new entry in the manifest's list ``resumes`` stores the old values of replaced manifest keys, and ``facts``
-        about the resume. ``texts`` maps the relative path of each snapshot file that the overrides change to the file's
-        new text.
+        about the resume. If the resume has overrides, ``texts`` maps the relative path of each changed config file to
+        the file's new text.
         """
         texts = dict(texts or {})
 
@@ -334,7 +334,7 @@ class Manifest:
         self.write_pending()
 
     def write_pending(self) -> None:
-        """Write the changed snapshot files of the last resume if the resume crashed before it wrote these files."""
+        """Write the changed config files of the last resume if the resume crashed before it wrote these files."""
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
@@ -360,8 +360,8 @@ class Manifest:
     ) -> dict[str, Any]:
         """Record the files and results that a command adds to a run that has ended; return the new manifest entry.
 
-        ``kind`` names the command that added the files: ``play``, ``evaluation``, or ``export``. All added files must
-        be below the run directory.
+        ``kind`` names the command that added the files: ``play``, ``evaluation``, or ``export``. Each path in ``files``
+        must be below the run directory.
         """
         words = list(sys.argv if command is None else command)
         entry: dict[str, Any] = {"kind": kind, "when": utc_text(now or utc_now()), "command": words}
@@ -373,7 +373,7 @@ class Manifest:
         """Return the newest size and hash of every file of the run, including files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        # A run records all its files when the run ends, so newer records exist only for files of later commands.
+        # A run records all files at the run's end, so newer records come from later commands such as `wheelleg play`.
         earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
         later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
@@ -389,11 +389,11 @@ class Manifest:
 
     @contextlib.contextmanager
     def finishing(self) -> Iterator[dict[str, Any]]:
-        """Record in the manifest that the run has ended when the ``with`` block ends.
+        """At the end of the ``with`` block, record in the manifest that the run has ended.
 
-        The ``with`` block writes the run's results into the yielded dictionary. Ctrl-C sets the run's status to
-        ``interrupted``, and any other exception sets the status to ``failed``. An exception in the ``with`` block is
-        raised again, even if the manifest cannot be written.
+        The context manager yields a dictionary, into which the ``with`` block writes the run's results. Ctrl-C sets the
+        run's status to ``interrupted``, and any other exception sets the status to ``failed``. An exception in the
+        ``with`` block is raised again, even if the manifest cannot be written.
         """
         results: dict[str, Any] = {}
         with self.failing(results):
@@ -402,7 +402,7 @@ class Manifest:
 
     @contextlib.contextmanager
     def failing(self, results: Mapping[str, Any] | None = None) -> Iterator[None]:
-        """Record the end of the run as ``finishing`` does, but only if the ``with`` block raises an exception."""
+        """If the ``with`` block raises an exception, record in the manifest that the run failed or was interrupted."""
         try:
             yield
         except BaseException as error:

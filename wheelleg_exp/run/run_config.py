@@ -71,7 +71,7 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
     # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
-        return dict(env)  # The check of the config reports a value of the wrong type.
+        return dict(env)  # A later check of the config reports a value of the wrong type.
     scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
     if isinstance(scene.get("ground"), Mapping):
         plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
@@ -81,10 +81,10 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
 
 def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters, but with MuJoCo on the CPU as the physics engine."""
-    # By default, evaluations, plays, and exports simulate with MuJoCo on the CPU, because this needs no GPU.
-    # The figures of two evaluations or plays are comparable if both simulate with one physics engine.
+    # By default, the commands evaluate, play, and export simulate with MuJoCo on the CPU, which needs no GPU.
+    # The metrics of two evaluations are comparable only if both evaluations use the same physics engine.
     if not isinstance(env.get("sim"), Mapping):
-        return dict(env)  # The check of the config reports a value of the wrong type.
+        return dict(env)  # A later check of the config reports a value of the wrong type.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
@@ -104,7 +104,7 @@ CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
 _MAX_STEPS = 10_000  # The largest number of interpolations that are resolved in one config.
-_MAX_LETTERS = 100_000  # The largest total number of letters of the texts with interpolations.
+_MAX_LETTERS = 100_000  # The largest total length of all config values with interpolations.
 _NO_DEFAULT = object()
 # Matches an option, a setting of Hydra itself, or a resolver call, none of which is allowed in recorded overrides.
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
@@ -154,8 +154,8 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
     """Raise RunDirectoryError, which names the file ``path``, unless each word in this file is a config override."""
-    # The overrides that a run stores are not trusted, although a config is composed from them.
-    # Words that are command options, set Hydra's own settings, or call OmegaConf resolvers raise an error.
+    # The overrides that a run directory stores are untrusted input, because anyone can have changed the file.
+    # A recorded override must not be a command option, a setting of Hydra itself, or a resolver call.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
@@ -186,7 +186,7 @@ def resolved(
     letters = sum(len(text) for text in _strings(tree) if "${" in text)
     try:
         if letters > _MAX_LETTERS:
-            raise InterpolationResolutionError(f"the texts with '${{' in the config have {letters} letters in total")
+            raise InterpolationResolutionError(f"the config values with '${{' have {letters} characters in total")
         with _restricted_resolvers(variables, absent):
             config = OmegaConf.create(dict(tree))
             values = {key: OmegaConf.select(config, key) for key in sections or map(str, tree)}

@@ -1,7 +1,7 @@
 """Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
 
-A folder with the index file of a pipeline is not a run directory. The error for the folder of a pipeline lists the run
-directories of the pipeline's phases.
+A folder with the index file of a pipeline is not a run directory. If a user gives the folder of a training pipeline
+instead of a run, the error lists the pipeline's run directories.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ class RunDirectory(os.PathLike[str]):
     ) -> RunDirectory:
         """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``; the time is local.
 
-        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. A ``section``,
-        ``agents`` or ``replays``, is a subfolder of ``root`` for runs that ``latest`` and the list of runs ignore.
+        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. ``section`` is
+        ``agents`` or ``replays``, a subfolder of ``root`` whose runs ``wheelleg list runs`` does not list.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:
@@ -125,8 +125,8 @@ class RunDirectory(os.PathLike[str]):
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        If ``odd`` is true, links, pipes, and devices in the run directory raise no error. With ``odd``, the caller must
-        report links, pipes, and devices in the run directory, and must not open them.
+        If ``odd`` is true, links, pipes, and devices in the run directory raise no error. A caller that sets ``odd``
+        must report links, pipes, and devices in the run directory, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
@@ -152,7 +152,7 @@ class RunDirectory(os.PathLike[str]):
     source = _PathInside("source")  # The folder with the recorded state of the source code.
     asset = _PathInside("asset")  # The folder with the robot's model files.
     exported = _PathInside("exported")  # The folder with the exported policies of a run.
-    play = _PathInside("play")  # The folder with the recordings of plays after the training.
+    play = _PathInside("play")  # The folder with the recordings that ``wheelleg play`` made.
     videos = _PathInside("videos")  # The folder with the videos of the training.
     dataset = _PathInside("dataset")  # The folder with the episodes that recorders saved during the training.
     evaluation = _PathInside("evaluation")  # The folder with the results of a run's evaluations.

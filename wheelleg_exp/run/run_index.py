@@ -1,7 +1,7 @@
 """The index files of several runs: ``sweep.json`` lists the runs of a sweep, ``pipeline.json`` those of a pipeline.
 
 Each sweep or pipeline has a folder below the folder of all runs; its index file lists the paths of run directories.
-Every change of an index replaces the whole index file.
+Every change replaces the whole index file of the sweep or pipeline.
 """
 
 from __future__ import annotations
@@ -110,11 +110,11 @@ class _RunIndex:
 class SweepIndex(_RunIndex):
     """The index of one sweep.
 
-    The index of a sweep has the keys ``format``, ``id``, ``status``, ``command``, ``working_directory``, ``started``,
-    ``ended``, ``process``, ``launcher`` and ``jobs``. A sweep's ``status`` is ``running``, ``finished``,
-    ``interrupted``, or ``failed`` if a job did not finish. A job of a sweep has ``number`` (from 1), ``overrides`` (all
-    overrides of the job), ``swept`` (the overrides in which jobs differ), ``status``, ``run`` (path relative to the
-    index), ``started``, ``ended``, ``results`` and ``error``. A job that never started is ``waiting``.
+    The index file ``sweep.json`` contains the sweep's command, start and end time, process, launcher, status, and jobs.
+    A sweep's ``status`` is ``running``, ``finished``, ``interrupted``, or ``failed`` if a job did not finish. A job's
+    ``number`` counts from 1. A job's ``overrides`` are all overrides of the job, and ``swept`` contains the overrides
+    in which the jobs of the sweep differ. A job's ``run`` is the path of the job's run directory, relative to the
+    sweep's folder. A job that never started has the status ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -179,12 +179,12 @@ class SweepIndex(_RunIndex):
 class PipelineIndex(_RunIndex):
     """The index of one pipeline.
 
-    The index of a pipeline has the keys ``format``, ``id``, ``name``, ``status``, ``why``, ``command``,
-    ``working_directory``, ``config_dirs``, ``root``, ``overrides`` (of all phases), ``started``, ``ended``,
-    ``process``, ``resumes``, ``config`` (the declared pipeline) and ``phases``. A pipeline's ``status`` is ``running``,
-    ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not pass. A phase has ``name``, ``status``,
-    ``why`` (reason to continue or stop), ``digest`` (config hash), ``run`` and ``init_from`` (paths relative to the
-    index), ``trained`` (finished iterations), ``gates`` (evaluation results), ``started`` and ``ended``.
+    The index file ``pipeline.json`` contains the pipeline's command, config, overrides for all phases, and resumes. A
+    pipeline's ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not
+    pass. A phase's ``why`` is the reason to continue or to stop the pipeline after the phase. A phase's ``digest`` is a
+    hash of the phase's config. A phase's ``run`` and ``init_from`` are paths of run directories, relative to the
+    pipeline's folder. A phase's ``trained`` is the number of finished training iterations, and ``gates`` contains
+    evaluation results.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES

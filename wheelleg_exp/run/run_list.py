@@ -30,8 +30,8 @@ CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # More bytes than any line of the file iterations.jsonl has.
-# The performance figures of a training, and the names of the logged scalars that contain these figures.
+_TAIL_BYTES = 65536  # The number of bytes to read at the end of iterations.jsonl; all lines of this file are shorter.
+# For each performance metric of a training, the name of the logged scalar that contains the metric.
 FIGURES = {
     "return": "Train/mean_reward",
     "episode_length": "Train/mean_episode_length",
@@ -45,13 +45,13 @@ class RunSummary:
 
     id: str
     task: str
-    status: str  # The manifest's status, ``crashed`` (killed run), or ``damaged`` (unreadable manifest).
+    status: str  # The status in the manifest; ``crashed`` marks a killed run, and ``damaged`` an unreadable manifest.
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # The run's failure or damage, or its number of NaN episodes.
+    problem: str | None = None  # A text that describes the run's failure, its damaged manifest, or its NaN episodes.
     failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
     iterations: int | None = None  # finished iterations
@@ -59,8 +59,8 @@ class RunSummary:
     checkpoint: int | None = None  # The iteration of the run's last checkpoint.
     resumable: bool = False  # True if ``wheelleg resume`` can continue the run.
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)  # The final return, episode length, and time-out share.
-    played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last play.
+    figures: dict[str, float] = field(default_factory=dict)  # The training's last value of each metric in FIGURES.
+    played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last ``wheelleg play``.
     evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
     seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume.
@@ -238,7 +238,7 @@ def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
 _CONDITION = re.compile(r"(?P<key>[^=!<>]+)(?P<sign>!=|<=|>=|=|<|>)(?P<value>.*)")
 _ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
 
-# The options --filter and --sort accept these columns and the keys of a run's config.
+# The options --filter and --sort accept the columns in _COLUMNS and the keys of a run's config.
 _COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
     **{name: operator.attrgetter(name) for name in ("id", "task", "status", "name")},
     "seed": lambda run: run.seeds[0] if run.seeds else None,
@@ -347,7 +347,7 @@ def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]
 
 
 def _starts_with_digit(text: str) -> bool:
-    """Return whether a text starts with a digit; ``--filter`` can compare a text such as a date with a number."""
+    """Return whether a text, such as a date, starts with a digit, so that ``--filter`` can compare it with a number."""
     return text[:1].isdigit()
 
 

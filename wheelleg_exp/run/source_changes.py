@@ -73,7 +73,7 @@ def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositorie
 
 
 def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return the git state of each path that differs between a source tree and its base commit; None if deleted."""
+    """Return git mode and blob id of each path that differs between a source tree and its commit; None if deleted."""
     return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
 
 
@@ -95,7 +95,7 @@ def _compare(
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
-        # A path that is equal in both base commits has the same state in both commits.
+        # A path that ``between`` lacks is equal in the base commits of both source trees.
         return between[path][side] if path in between else other[path][0]
 
     found = FileChanges()

@@ -53,7 +53,7 @@ def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
                 raise RunDirectoryError(f"broken record of the source: {key} has the value {entry[key]!r}", where=where)
         for name in entry["folders"] or ():
             if not is_inside(str(name)):
-                raise RunDirectoryError(f"the source record names the path '{name}' outside its tree", where=where)
+                raise RunDirectoryError(f"git.json names the path '{name}' outside the git repository", where=where)
     return {**first, "others": others}
 
 
@@ -93,8 +93,8 @@ def restore_source(
 
     ``repository`` is a git clone that contains the recorded commit; by default, it is the recorded folder. The clone is
     only read. ``which`` is 0 for the main repository of the run, and 1 for the first additional repository.
-    ``destination`` becomes a separate git repository that reads the git objects of ``repository``. If the restored tree
-    differs from the recorded tree, ``destination`` is deleted and an error is raised. No file outside ``destination``
+    ``destination`` becomes a separate git repository that reads the git objects of ``repository``. If the restored and
+    the recorded source files differ, ``destination`` is deleted and an error is raised. No file outside ``destination``
     is written, even if the recorded patch contains paths outside ``destination``. A full disk raises SimulationFailure.
     """
     record = source_records(directory)[which]

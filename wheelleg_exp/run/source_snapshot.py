@@ -27,8 +27,8 @@ from wheelleg_exp.run.source_changes import state
 SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
-# A source record with the status "ok" or "no_commits" has a patch that restores the source tree.
-# A source record without a patch has a note that says why the source tree was not stored.
+# In git.json, a repository with the status "ok" or "no_commits" has a patch that restores the source files.
+# With any other status, the repository's note in git.json says why the source files were not stored.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
@@ -64,7 +64,7 @@ class _WorkingTree:
 
 
 def source_entries(record: Any) -> list[Mapping[str, Any]]:
-    """Return the repository records of a ``git.json``, the main repository first; skip values of a wrong type."""
+    """Return the entry of each git repository in a ``git.json``, the main one first; skip values of a wrong type."""
     others = record.get("others") if isinstance(record, Mapping) else None
     return [entry for entry in (record, *(others if isinstance(others, list) else ())) if isinstance(entry, Mapping)]
 
@@ -98,7 +98,7 @@ def snapshot_source(
 
 
 def new_record(status: Status, root: Path | None, note: str | None) -> dict[str, Any]:
-    """Return a source record that has every key; keys that are not given have the value None."""
+    """Return a repository's entry for ``git.json`` with every key; keys without a known value are None or empty."""
     return {
         "status": status,
         "exact": False,
@@ -132,7 +132,7 @@ def content_digest(root: Path) -> str:
 
 
 def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
-    """Group source folders and files by git repository; return a record with a reason for each one outside git."""
+    """Return the git repositories of the source folders; for a folder outside git, return a record with the reason."""
     groups: dict[Path, _WorkingTree | dict[str, Any]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
@@ -197,7 +197,7 @@ def _distribution_of(root: Path) -> str | None:
 
 
 def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dict[str, Any], bytes | None]:
-    """Return the source record and the patch of one repository; the patch is None if the tree cannot be stored."""
+    """Return the ``git.json`` entry and the patch of a repository; the patch is None if it is too large or missing."""
     repository = tree.repository
     record = new_record("ok", repository.top, None)
     record["folders"] = tree.folders
@@ -237,7 +237,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # In git's index, reset files with a filter program to the base commit; mode 0 removes a path from git's index.
+        # In git's index, restore the base commit's version of files with a git filter; mode 0 removes a path.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]

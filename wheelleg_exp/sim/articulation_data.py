@@ -71,7 +71,7 @@ class ArticulationData(RobotData):
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # The bodies' velocities at the start of the last physics step; None before code first reads accelerations.
+        # ``_vel_before`` has the bodies' velocities at the last step's start; None until code reads accelerations.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
@@ -116,12 +116,12 @@ class ArticulationData(RobotData):
 
     @property
     def joint_stiffness(self) -> torch.Tensor:
-        """Stiffness of the actuators that MuJoCo's solver computes, N·m/rad, (N, J); 0 for all other actuators."""
+        """Stiffness of implicit actuators, which MuJoCo's solver computes, N·m/rad, (N, J); 0 for other actuators."""
         return self._gains("stiffness", True)
 
     @property
     def joint_damping(self) -> torch.Tensor:
-        """Damping of the actuators that MuJoCo's solver computes, N·m·s/rad, (N, J); 0 for all other actuators."""
+        """Damping of implicit actuators, which MuJoCo's solver computes, N·m·s/rad, (N, J); 0 for other actuators."""
         return self._gains("damping", True)
 
     @property
@@ -202,13 +202,13 @@ class ArticulationData(RobotData):
         """Linear and angular accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); 0 at rest.
 
         The acceleration of a body is the difference of its velocity over the last physics step, divided by the step.
-        After a reset, or after code wrote velocities, all accelerations are 0 until the next physics step.
+        After a reset or a write of velocities, all accelerations are 0 until the next physics step.
         """
         if self._vel_before is None:
-            # The bodies' velocities at the start of the last physics step.
-            # The stored state at the start of the step has no bodies' velocities. To compute the bodies' velocities,
-            # write the stored state to the engine, run the engine's kinematics, and restore the present state.
-            # Only the first read of an acceleration needs to recompute the bodies' velocities at the start of the step.
+            # Compute the bodies' velocities at the last physics step's start, because the stored state lacks them.
+            # Write the stored state of the last physics step's start to the engine, and run the engine's kinematics.
+            # Restore the engine's present positions and velocities afterwards.
+            # Only the first read of an acceleration computes the velocities, because later steps store them.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
             self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))

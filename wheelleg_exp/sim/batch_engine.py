@@ -1,4 +1,4 @@
-"""The engine ``mujoco``: The engine that simulates on the CPU, in float64, with MuJoCo's batch of simulations."""
+"""The engine ``mujoco``, which simulates on the CPU, in float64, with MuJoCo's batch of simulations."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class BatchEngine(Engine):
 
     @property
     def motion(self) -> torch.Tensor:
-        """Positions, then velocities: a live view of the state rows, (N, nq + nv)."""
+        """View of the positions and velocities in ``state``, (N, nq + nv), with the positions first."""
         return self._motion
 
     def view(self, name: str) -> torch.Tensor:
@@ -102,7 +102,7 @@ class BatchEngine(Engine):
             self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        rows = self.state.index_select(0, ids)  # A reset does not change finite positions and velocities.
+        rows = self.state.index_select(0, ids)  # Positions and velocities are reset only if they are NaN or inf.
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
@@ -134,16 +134,16 @@ class BatchEngine(Engine):
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the engine's state; raise ConfigError if a term expanded a model field without ``expand``."""
+        """Return the engine's state; raise ConfigError if a term expanded a field with MuJoCo's ``Batch.expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
-                f"a term expanded {' and '.join(hidden)} with MuJoCo's own batch method, which no checkpoint saves",
+                f"a term called MuJoCo's 'Batch.expand' for {' and '.join(hidden)}, which no checkpoint saves",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
         at_set_const = None
         if self._at_set_const is not None:
-            # The values that edited model fields had at the last call of ``set_const``, by field.
+            # ``at_set_const`` has the values of the edited model fields at the last call of ``set_const``.
             then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
             at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {
@@ -154,7 +154,7 @@ class BatchEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        # Write model fields, and make MuJoCo derive its constants from the saved values of the last ``set_const``.
+        # MuJoCo's constants depend on the model fields at the last ``set_const``, so first write their old values.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)

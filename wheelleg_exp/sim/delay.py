@@ -15,10 +15,10 @@ from wheelleg_exp.state import Stateful
 class DelayBuffer:
     """A buffer of the last samples of each environment; ``push`` returns the sample stored ``lag`` calls earlier.
 
-    The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab's ``DelayBuffer``,
-    the returned sample is ``min(lag, samples - 1)`` calls of ``push`` old. Each reset draws an environment's lag
-    uniformly from the range ``lags``; before the first reset, the lag is 0. All samples have the shape (N, ...) and the
-    device of the argument ``sample``.
+    The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab, ``push`` returns
+    the first sample since the last reset while an environment has had at most ``lag`` samples since then. Each reset
+    draws an environment's lag uniformly from the range ``lags``; before the first reset, the lag is 0. All samples have
+    the shape (N, ...) and the device of the argument ``sample``.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
@@ -29,7 +29,7 @@ class DelayBuffer:
         self.lag = torch.zeros(len(sample), dtype=torch.long, device=sample.device)
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
-        """Store a sample (N, ...), and return the stored sample that is ``lag`` calls older."""
+        """Store a sample (N, ...), and return the sample that was stored ``lag`` calls earlier."""
         # Assign a new tensor, because a tensor that was created in inference mode cannot be changed in place.
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
@@ -68,7 +68,7 @@ class DelayBuffer:
 class TargetDelay(Stateful):
     """Delays the targets of a group of joints by a number of physics steps, with one lag per environment.
 
-    ``bounds`` are the shortest and the longest lag, in physics steps; ``shape`` (N, J) is that of the targets.
+    ``bounds`` are the shortest and longest lag, in physics steps; the joint targets have the shape ``shape`` (N, J).
     """
 
     settings = ("_ids",)
@@ -87,7 +87,7 @@ class TargetDelay(Stateful):
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
-        """Store a physics step's joint targets; return delayed targets, which are valid only for the group's joints."""
+        """Store a physics step's joint targets; return delayed targets, valid only for the joints ``joint_ids``."""
         ids = self._ids
         now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
         self._seen[:, :, ids] = self._past.push(now)

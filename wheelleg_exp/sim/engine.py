@@ -30,8 +30,8 @@ class Engine(Kept, ABC):
         state: the numbers that determine the next step, one row per simulation, (N, k).
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
-        asked: the tensors other than states that terms obtained to write to: model fields by name, ``WRENCHES``. Code
-            that reads the set ``asked`` empties the set after reading.
+        asked: names of the model fields, and ``WRENCHES``, that terms have obtained from the engine and may have
+            changed. The event manager clears the set ``asked`` after each event term.
     """
 
     name: ClassVar[str]
@@ -107,8 +107,8 @@ class Engine(Kept, ABC):
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        This reset of the engine does not change finite positions and velocities. A reset of the engine replaces
-        positions and velocities that are NaN or inf by the model's defaults.
+        The reset replaces positions and velocities that are NaN or inf by the model's defaults. The reset does not
+        change other positions and velocities.
         """
 
     @abstractmethod
@@ -135,9 +135,9 @@ class Engine(Kept, ABC):
         """
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        """Declare that the geoms of a group never move, so that an engine may cast rays in a model without the robot.
+        """Declare that a group's geoms never move, so that rays against them can be cast in a model without the robot.
 
-        The function ``alone`` returns a model that contains only the geoms of one group, with unchanged names.
+        The function ``alone`` returns a model that contains only the geoms of the group, with unchanged names.
         """
         del geom_group, alone
 

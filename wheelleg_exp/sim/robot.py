@@ -81,16 +81,16 @@ class Robot(RobotWriters):
         self._has_new_targets = True
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
-        # The force and torque on the root link, with the vector components as the first dimensions, (2, 3, N).
+        # ``_root_xfrc`` is a view (2, 3, N) of the force and the torque on the root link.
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
-        # The environments whose state was written since the last call of ``refresh``, as a list of index tensors.
-        # A reset writes often with one index tensor, so a list of index tensors is cheaper than a mask.
+        # ``_stale`` lists index tensors of the environments whose state was written since the last ``take_stale``.
+        # Most writes of a reset use the same index tensor, so a list of index tensors is cheaper than a mask.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # In memory, the vector components are the first dimensions, as in the matrices of ``quat_to_matrix``.
+        # In memory, the environments are the last dimension of ``_wrench``, as in the result of ``quat_to_matrix``.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 

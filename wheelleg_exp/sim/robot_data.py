@@ -16,7 +16,7 @@ from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
 from wheelleg_exp.state import Kept
 
-# Parameters from the config and the model, which events can change.
+# Events can change the parameters in ``_SETTINGS``, whose initial values come from the config and the model.
 _SETTINGS = (
     *("default_joint_pos", "default_joint_vel", "joint_pos_limits", "soft_joint_pos_limits", "soft_joint_vel_limits"),
     *("joint_effort_limits", "encoder_bias", "com_b"),
@@ -76,7 +76,7 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Request the view of the torques here, because a view is zero until the physics step after its request.
+        # Request the actuators' torques now, because the view contains zeros until the first step after its request.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:
@@ -99,7 +99,7 @@ class RobotData(Kept):
         self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
-        """After code wrote joint velocities, set the velocities (n, k) that the joint accelerations start from."""
+        """Store joint velocities (n, k) as the velocities before the last physics step, to make ``joint_acc`` zero."""
         self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:

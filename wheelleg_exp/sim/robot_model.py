@@ -103,7 +103,7 @@ class JointTargets(Kept):
             value.copy_(saved[f"joint_{name}_target"])
 
 
-_ROBOT_GROUP = 1  # The geom group to which robot geoms in the ground's geom group move.
+_ROBOT_GROUP = 1  # Robot geoms in the ground's geom group are moved to geom group 1.
 
 
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
@@ -150,9 +150,9 @@ def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
     """Rotate the root link's frame about its origin without moving the robot's shapes and masses.
 
-    A robot needs the rotation if x is not forwards or z is not upwards in its MJCF file. Observations, rewards,
-    commands and ``env.robot.init_state.rot`` refer to the rotated frame. ``frame``, a quaternion (w, x, y, z), is the
-    orientation of the rotated frame in the MJCF file's frame.
+    The root link's frame must be rotated if its x axis is not forwards or its z axis is not upwards. Observations,
+    rewards, commands and ``env.robot.init_state.rot`` refer to the rotated frame of the root link. ``frame`` is a
+    quaternion (w, x, y, z), the rotated frame's orientation in the root link's frame of the MJCF file.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)
@@ -164,7 +164,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
         if frame_or_element.frame is None:
             frame_or_element.set_frame(turned)
     if root.explicitinertial:
-        # Rotate an inertia that the MJCF file states. MuJoCo derives all other inertias from the rotated shapes.
+        # Rotate an inertia given in the MJCF file. Otherwise, MuJoCo computes the inertia from the rotated geoms.
         ipos = np.empty(3)
         mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
         root.ipos = ipos

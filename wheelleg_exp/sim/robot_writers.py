@@ -21,7 +21,7 @@ from wheelleg_exp.state import Kept
 
 _PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
-_STRONGEST = 1e10  # the torque limit of a drive without a torque limit, N·m: MuJoCo's largest number
+_STRONGEST = 1e10  # The torque limit of a drive without a limit is MuJoCo's largest number, N·m.
 Values = torch.Tensor | float
 _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 
@@ -96,11 +96,11 @@ class RobotWriters(Kept):
         *,
         key: str | None = None,
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the joints that expressions match; raise ConfigError if one matches no joint.
+        """Return indices and names of matching joints; raise ConfigError if a regular expression matches no joint.
 
         The returned joint indices refer to ``joint_subset`` if it is given, otherwise to all joints. With
         ``preserve_order``, the joints are in the order of the regular expressions instead of the robot's order. Error
-        messages name ``key``, the config key of the regular expressions.
+        messages name ``key``, the config key of the regular expressions ``name_keys``.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -137,7 +137,7 @@ class RobotWriters(Kept):
         velocity = root_velocity.to(dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
         angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
-        # velocity of the link: v_link = v_com - omega x R c = v_com - R (omega_b x c)
+        # The link's velocity is the CoM's velocity minus R (omega x c), with rotation matrix R and CoM position c.
         lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
         self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
 
@@ -151,7 +151,7 @@ class RobotWriters(Kept):
         self._write_velocity(ids, velocity[:, 0:3], rotation.rotate_inverse(matrix, velocity[:, 3:6]))
 
     def _write_velocity(self, ids: torch.Tensor, linear: torch.Tensor, angular: torch.Tensor) -> None:
-        """Write a free joint's velocity: of the link's origin in world axes, and in link axes."""
+        """Write a free joint's velocities: ``linear`` of the link's origin in world axes, ``angular`` in link axes."""
         self._root_qvel.index_copy_(0, ids, torch.cat((linear, angular), dim=1).expand(ids.shape[0], -1))
         self.data.forget_accelerations(ids)
         self.mark_written(ids)
@@ -174,7 +174,7 @@ class RobotWriters(Kept):
     def write_joint_state_to_sim(
         self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None
     ) -> None:
-        """Set joint positions (n, k), rad, and velocities (n, k), rad/s; reported joint accelerations do not change."""
+        """Set joint positions (n, k), rad, and velocities (n, k), rad/s; reported joint accelerations become 0."""
         self.write_joint_position_to_sim(position, joint_ids, env_ids)
         self.write_joint_velocity_to_sim(velocity, joint_ids, env_ids)
 
@@ -185,7 +185,7 @@ class RobotWriters(Kept):
         self.mark_written(ids)
 
     def write_joint_velocity_to_sim(self, velocity: torch.Tensor, joint_ids: Ids = None, env_ids: Ids = None) -> None:
-        """Set joint velocities (n, k), rad/s; the reported joint accelerations do not change."""
+        """Set joint velocities (n, k), rad/s; the reported accelerations of these joints become 0."""
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         self._qvel[ids.unsqueeze(1), self.layout.dof_ids[joints]] = velocity.to(self._sim.dtype)
         self.data.set_velocity_before(ids, joints, velocity)
@@ -261,7 +261,7 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # A captured CUDA graph compares the tuple of bodies by identity, so replace the tuple only if a body is new.
+        # Each new tuple ``_wrench_bodies`` causes a new capture of CUDA graphs, so replace it only for a new body.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
@@ -363,8 +363,8 @@ class RobotWriters(Kept):
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
         """Write the parameter ``name``, a gain or a limit, of the actuators.
 
-        Return the values that were written to each actuator group that MuJoCo's solver computes. Each returned entry
-        has the slice of an actuator group's controls, the values (n, k), and the mask (k,) of written joints.
+        Return the values written to each group of implicit actuators, whose torques MuJoCo's solver computes. Each
+        returned entry has the slice of the group's controls, the values (n, k), and the mask (k,) of written joints.
         """
         self._has_new_targets = True  # The controls of MuJoCo actuators depend on the actuators' gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)

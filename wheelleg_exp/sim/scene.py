@@ -27,7 +27,7 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
-_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The fields of MjModel that contain or count file paths
+_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The model's digest skips fields that contain or count file paths.
 
 
 class Scene(Kept):
@@ -134,7 +134,7 @@ class Scene(Kept):
 
     @property
     def cfg(self) -> SimpleNamespace:
-        """The scene's settings that manager terms written for Isaac Lab read."""
+        """Settings of the scene with Isaac Lab's attribute names, for terms that were written for Isaac Lab."""
         return SimpleNamespace(num_envs=self.num_envs, env_spacing=self.options.env_spacing, terrain=self.terrain.cfg)
 
     @property
@@ -171,8 +171,8 @@ class Scene(Kept):
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
             raise ConfigError(
-                f"a term has changed {' and '.join(changed)} of the compiled model. The engine simulates a copy, so "
-                "that this change has no effect, and no checkpoint saves it",
+                f"a term has changed {' and '.join(changed)} of the compiled model. The engine simulates a copy "
+                "of this model, so the change has no effect, and no checkpoint saves it",
                 key="env.scene.sim.model",
                 expected=f"env.scene.sim.expand('{changed[0]}'), a tensor with one value for each environment, and "
                 "env.scene.sim.set_const() after writing to it",
@@ -196,8 +196,8 @@ class Scene(Kept):
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
         ``root_pose`` (N, 7) is in m and (w, x, y, z); ``is_relative`` makes it relative to the environments' origins.
-        ``root_velocity`` (N, 6) is that of the root's centre of mass in world axes, m/s and rad/s. ``joint_position``
-        and ``joint_velocity`` (N, J) are in rad and rad/s.
+        ``root_velocity`` (N, 6) is the velocity of the root's centre of mass in world axes, m/s and rad/s.
+        ``joint_position`` and ``joint_velocity`` (N, J) are in rad and rad/s.
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
@@ -207,7 +207,7 @@ class Scene(Kept):
         return {"articulation": {"robot": root | joints}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return the tensors that terms may have written to (see ``Engine.asked``), by name, for failure reports."""
+        """Return, by name, the tensors in ``asked``, which terms have obtained from the engine and may have changed."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
         fields = sorted({*asked} - {WRENCHES})
         return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-_MARGIN = 1e-6  # m; the margin by which boxes around geoms are enlarged because of rounding errors
+_MARGIN = 1e-6  # Boxes around geoms are enlarged by 1e-6 m because of rounding errors.
 
 Floats = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class GeomBoxes:
         self._all_high = self._high[ends].max(axis=0, initial=-np.inf)
 
     def reached(self, origins: Floats, directions: Floats) -> npt.NDArray[np.bool_]:
-        """Return which geoms (n, G) the rays (n, R, 3) of each row may hit: a superset of the geoms that they hit."""
+        """Return a mask (n, G) of geoms that rays (n, R, 3) of each row may hit; the mask includes all hit geoms."""
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
@@ -40,10 +40,10 @@ class GeomBoxes:
         return found
 
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Clip rays to the box around all geoms; return the lower and upper corners (n, R, 3) of boxes around them.
+        """Clip rays to the box around all geoms; return the lower and upper corners (n, R, 3) of a box around each ray.
 
-        The rays are clipped by the slab method (Kay and Kajiya 1986). A ray that misses the box gets an empty box:
-        lower corner inf, upper -inf.
+        The rays are clipped by the slab method (Kay and Kajiya 1986). For a ray that misses the box around all
+        geoms, the lower corner is inf and the upper corner is -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -58,13 +58,13 @@ class GeomBoxes:
 
 _GEOM_FIELDS = ("geom_type", "geom_size", "geom_pos", "geom_quat")
 _ROWS = 32  # simulations per thread
-_MANY = 8  # With at least this number of geoms, a ray is tested only against the geoms that the ray can hit.
+_MANY = 8  # With at least 8 geoms, a ray is tested only against the geoms that the ray can hit.
 _TOGETHER = 48  # rays in a block
 _SHOWN, _HIDDEN = 0, 1  # geom groups
 
 
 class StaticGeoms:
-    """A group of static geoms, which are equal in all simulations, so that every simulation can cast all rays.
+    """Casts rays against a group of static geoms, whose poses and sizes are the same in all simulations.
 
     Rays against static geoms are cast in a model without the robot, because MuJoCo tests each ray against every geom.
     The function ``alone`` returns a model that contains only the static geoms, with unchanged names. The function
@@ -78,7 +78,7 @@ class StaticGeoms:
         self._is_same: bool | None = None
 
     def are_still(self, expanded: Collection[str]) -> bool:
-        """Return whether the model without the robot is valid: no event has edited these geoms in any simulation."""
+        """Return whether the model without the robot is valid, because no event has edited the static geoms."""
         if self._is_same is None:
             alone, here = self._make(), np.flatnonzero(self._model.geom_group == self._group)
             self._is_same = len(here) == alone.ngeom
@@ -103,7 +103,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # Distribute the blocks of rays over the first simulations, one block for each simulation.
+            # Each of the first ``len(ids)`` simulations of the batch casts one block of rays.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

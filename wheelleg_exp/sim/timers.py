@@ -1,7 +1,7 @@
 """Check on the host, without waiting for the GPU, whether countdown timers on a GPU may have expired.
 
-A lower bound of the smallest countdown timer is copied from the GPU to the host asynchronously every few steps. While
-the copied lower bound exceeds the time since the copy, no timer can have expired.
+The smallest remaining time of the timers is copied from the GPU to the host asynchronously every few steps. No timer
+can have expired while the copied smallest time exceeds the time since its copy.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # number of steps between two copies of the smallest timer from the GPU
+_EVERY = 16  # The smallest timer is copied from the GPU every 16 steps.
 _SLACK = 1e-3  # s
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return whether a timer may have expired; always True for timers on a CPU, which are cheap to read.
+    """Return False if no timer on a GPU can have expired; return True for timers on a CPU, which callers can read.
 
-    This function is called once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time
-    since the last call, s. Code that sets a timer to less than ``least`` seconds must call ``forget``.
+    Call ``may_be_due`` once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since
+    the last call, s. Code that sets a timer to less than ``least`` seconds must drop the copied times with ``forget``.
     """
     if not timers.is_cuda:
         return True
@@ -27,12 +27,12 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Drop all copied bounds, because code such as the restoring of a checkpoint has set the timers."""
+    """Drop the timers' lower bounds on the host, after code has set timers, for example from a checkpoint."""
     _bounds.clear()
 
 
 class _Bound:
-    """A lower bound of the smallest timer, taken from the last GPU copy that has arrived on the host."""
+    """A lower bound of the smallest remaining time, computed from the last copy of this time that reached the host."""
 
     def __init__(self) -> None:
         self._bound = float("-inf")

@@ -16,9 +16,9 @@ from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.warp_fields import CONSTANTS, DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
-# Default capacity for contacts per simulation. A wheel-legged robot that lies on the ground has about twelve contacts.
+# By default, a simulation has room for 24 contacts, because a robot that lies on the ground has about twelve.
 _CONTACTS = 24
-_ON_RELIEF = 48  # Default contact capacity on a height field or a mesh, which touches one geom in several points.
+_ON_RELIEF = 48  # A height field or a mesh touches one geom in several points, and needs room for more contacts.
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
@@ -89,7 +89,7 @@ class WarpEngine(Engine):
 
     The engine's physics steps agree with MuJoCo's physics steps to single precision. On a GPU, two runs from one state
     diverge, because the order of contacts and sums differs from run to run. On the CPU, a run with mujoco-warp is
-    bit-reproducible. ConfigError if a package or a device is missing, or if mujoco-warp does not support the model.
+    bit-reproducible. ConfigError means a missing package or device, or a model that mujoco-warp does not support.
     """
 
     name = "warp"
@@ -114,7 +114,7 @@ class WarpEngine(Engine):
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
         self._m.opt.warn_overflow = 0  # Overflow raises an error, so mujoco-warp need not print a warning.
-        # The number of contacts that a contact sensor searches: a power of two, at least twice the stored contacts.
+        # A contact sensor searches a number of contacts that is a power of two and at least twice the stored contacts.
         of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
         slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
         most = _LEAST_MATCHES
@@ -139,7 +139,7 @@ class WarpEngine(Engine):
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
         most_kept = dict.fromkeys(_MOTION, _HUGE)
-        # The Warp arrays that a reset needs, by name: state, initial value, and the largest value to leave unchanged.
+        # ``_rows`` has each state field's array, initial values, and the magnitude from which a reset changes values.
         self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())

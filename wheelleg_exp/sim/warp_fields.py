@@ -12,17 +12,17 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.warp_runtime import ENGINE
 
-# The fields of a simulation's state, which together with the model determine the next physics step.
+# The fields in ``STATE`` and the model determine the next physics step of a simulation.
 STATE = (
     *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart"),
     *("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata"),
 )
-# The outputs of the functions kinematics, com_pos and com_vel of mujoco-warp.
+# The functions kinematics, com_pos and com_vel of mujoco-warp compute the fields in ``DERIVED``.
 DERIVED = frozenset(
     """xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat subtree_com cdof cinert cvel
     cdof_dot sensordata""".split()  # noqa: SIM905
 )
-# The outputs of set_const, which need one value per simulation as soon as an input of set_const has one.
+# If an input of set_const has one value per simulation, the outputs in ``CONSTANTS`` need one, too.
 CONSTANTS = (
     *("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0", "tendon_length0", "tendon_invweight0"),
     *("eq_data", "cam_pos0", "cam_poscom0", "cam_mat0", "light_pos0", "light_poscom0", "light_dir0"),
@@ -84,7 +84,7 @@ class ModelFields:
         return self.own[name]
 
     def restore(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Write values (N, ...) to the named model fields; all other expanded fields get the model's values."""
+        """Write the values in ``saved`` to their model fields, and the model's values to all other expanded fields."""
         for name in saved:
             self.expand(name)
         for name, values in self.own.items():

@@ -14,7 +14,7 @@ def restore(
     initial: wp.array(dtype=wp.float32),
     huge: wp.float32,
 ) -> None:
-    """Replace state values that are NaN or have a magnitude of at least ``huge`` by initial values, in ``ids``."""
+    """In the simulations ``ids``, replace values that are NaN or at least ``huge`` in magnitude by initial values."""
     row, column = wp.tid()
     world = int(ids[row])
     if not wp.abs(values[world, column]) < huge:

@@ -33,8 +33,8 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
                 wp.config.optimization_level = 0  # In CPU tests, compiling kernels takes longer than the physics steps.
-                # Start Warp without Warp's warning about a missing CUDA driver,
-                # which Warp's C++ code writes directly to file descriptor 2.
+                # Warp's C++ code writes a warning about a missing CUDA driver directly to file descriptor 2.
+                # Redirect file descriptor 2 to hide the warning while Warp starts.
                 sys.stderr.flush()
                 saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
                 try:
@@ -80,8 +80,8 @@ def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
 class Graphs:
     """Runs Warp functions in the order of torch's stream; on a GPU, each function is captured as a CUDA graph.
 
-    The first call of a Warp function runs it directly, which compiles its kernels. The second call captures it. Later
-    calls of a Warp function launch the function's captured CUDA graph. A Warp function that is called while torch
+    The first call of a Warp function runs the function directly, which compiles its kernels. The second call of a Warp
+    function captures it, and later calls launch its captured CUDA graph. A Warp function that is called while torch
     captures a CUDA graph becomes part of torch's graph.
     """
 

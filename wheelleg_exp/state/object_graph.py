@@ -1,10 +1,10 @@
 """Walk over an object graph: find the objects below some roots, and the slots that hold their values.
 
-The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The walk must reach
-every object that a term can change, but no object of another package, because such objects can be huge or have side
-effects. The walk over objects visits objects whose class belongs to this package or derives from this package's
-classes. The walk over objects visits the containers, bound methods, partials, and closures that hold objects of this
-package. The class attribute ``outside_graphs`` lists the attributes that no captured part of a step reads or writes.
+The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The functions of this
+module visit every object that a term can change. Objects of other packages are not visited, because such objects can be
+huge or have side effects. Visited objects belong to this package's classes or derived classes, or are the containers,
+bound methods, partials, and closures that hold such objects. The class attribute ``outside_graphs`` lists the
+attributes that no captured CUDA graph reads or writes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Named = tuple[str, Any]
 def walk(roots: Iterable[Named], children: Callable[[str, Any], Iterable[Named]]) -> Iterator[Named]:
     """Yield each object once with its dotted name: the roots, the ``children`` of each object, and so on."""
     waiting, seen = list(roots), set[int]()
-    # The loop is a breadth-first search, during which the list grows; the ids detect shared objects and cycles.
+    # Search breadth-first: `waiting` grows during the loop, and `seen` detects shared objects and cycles.
     for name, node in waiting:
         if id(node) not in seen:
             seen.add(id(node))
@@ -62,7 +62,7 @@ class Slot:
 
     @property
     def container(self) -> Any:
-        """The dictionary or list that directly holds the value, or ``MISSING`` if the container no longer exists."""
+        """The dictionary or list that directly contains the entry at ``path``; ``MISSING`` if it no longer exists."""
         found: Any = vars(self.owner)
         for key in self.path[:-1]:
             found = entry(found, key)
@@ -72,24 +72,24 @@ class Slot:
 
     @property
     def containers(self) -> Iterator[tuple[Any, Any, Any]]:
-        """Every dictionary or list on the path to the value, with its parent and its key in the parent."""
+        """Every dictionary or list along ``path``, with its parent and its key in the parent."""
         parent: Any = vars(self.owner)
         for key in self.path[:-1]:
             yield parent, key, entry(parent, key)
             parent = entry(parent, key)
 
     def get(self) -> Any:
-        """Return the value in the slot, or ``MISSING`` if the slot no longer exists."""
+        """Return the value of the attribute or entry at ``path``; ``MISSING`` if the entry no longer exists."""
         return entry(self.container, self.path[-1])
 
     def reader(self) -> Callable[[], Any]:
-        """Return a function that returns the value in the slot; for attributes, the function is faster than ``get``."""
+        """Return a function that returns the value at ``path``; for attributes, the function is faster than ``get``."""
         if len(self.path) > 1:
             return self.get
         return functools.partial(vars(self.owner).get, self.path[0], MISSING)
 
     def set(self, value: Any) -> None:
-        """Store a value in the slot; the value ``MISSING`` removes the slot's entry from its dictionary."""
+        """Store a value at ``path``; the value ``MISSING`` removes the entry at ``path`` from its dictionary."""
         container, key = self.container, self.path[-1]
         if value is MISSING and isinstance(container, dict):
             container.pop(key, None)
@@ -115,7 +115,7 @@ def parts(name: str, node: Any) -> Iterator[Named]:
     elif isinstance(node, MethodType):
         found = (node.__self__,)
     elif isinstance(node, FunctionType):
-        # A closure can hold tensors that no attribute names.
+        # A closure can refer to tensors that are not attributes of any object.
         found = (cell.cell_contents for cell in node.__closure__ or ())
     else:
         yield from ((f"{name}.{key}", value) for key, value in attributes_in_graphs(node))
@@ -124,7 +124,7 @@ def parts(name: str, node: Any) -> Iterator[Named]:
 
 
 def attributes_in_graphs(node: Any) -> Iterator[Named]:
-    """Yield those attributes of an object of this package that a captured part of a step may read or write."""
+    """Yield those attributes of an object of this package that a captured CUDA graph may read or write."""
     kind = type(node)
     # Skip objects of the package ``state``, which only refer to the state of objects in other packages.
     if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):

@@ -4,8 +4,8 @@ State is: tensors, arrays, numbers, text, random generators, plain containers of
 ``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as long as
 they do not change; and objects that another part saves (``Kept``). Every other value is ``Unsaveable``.
 
-``snapshot`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries, because loading a
-checkpoint must not run code. A value that a checkpoint does not store becomes a ``Reference``.
+``snapshot`` converts a value to a tree of tensors, numbers, lists, and dictionaries, because loading a checkpoint must
+not run code. A value that a checkpoint does not store becomes a ``Reference``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from wheelleg_exp.state.object_graph import PLAIN
 TAG = "__kind__"
 NOTHING = object()
 CONTAINERS: dict[type, str] = {kind: kind.__name__ for kind in (list, tuple, dict, set, frozenset, deque)}
-# Types whose objects cannot change in place, so that a checkpoint need not store the objects.
+# Objects of the types in `_CONSTANTS` cannot change in place, so a checkpoint need not store such objects.
 _CONSTANTS = (
     *(bytes, complex, range, slice, type, enum.Enum, re.Pattern, PurePath),
     *(torch.dtype, torch.device, torch.Size, np.dtype),
@@ -52,7 +52,7 @@ GENERATORS: dict[str, Generator] = {
 class Kept:
     """Marks objects whose state other code saves.
 
-    An object that refers to a ``Kept`` object does not save the state of the ``Kept`` object.
+    If an attribute contains an instance of ``Kept``, the attribute's object does not save the state of this instance.
     """
 
 
@@ -81,7 +81,7 @@ class Reference:
 
 
 def snapshot(value: Any, path: str) -> Any:
-    """Copy a value to tensors, numbers, tagged dictionaries, and references; raise Unsaveable if that fails."""
+    """Return a copy of a value as a tree of tensors, plain values, and references, or raise Unsaveable."""
     if type(value) in PLAIN:
         return value
     if isinstance(value, torch.Tensor):
@@ -107,7 +107,7 @@ def snapshot(value: Any, path: str) -> Any:
         if isinstance(value, kind):
             return {TAG: tag, "data": snapshot(get(value), path)}
     if all(hasattr(value, name) for name in ("state_dict", "load_state_dict")) and not isinstance(value, type):
-        rest = None  # those attributes of a network that the network's ``state_dict`` omits
+        rest = None  # `rest` contains the attributes of a network that the network's ``state_dict`` omits.
         if isinstance(value, torch.nn.Module) and not isinstance(value, torch.jit.ScriptModule):
             rest = {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)}
         data = snapshot(dict(value.state_dict()), path)
@@ -143,7 +143,7 @@ def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
 
 
 def _is_wiring(item: Any) -> bool:
-    """Return whether an attribute of a network only refers to parameters, as in recurrent networks."""
+    """Return whether a network's attribute contains only parameters or weak references, as in ``torch.nn.RNN``."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
 
@@ -208,9 +208,9 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
     """Convert a result of ``snapshot`` to a value that a checkpoint can store.
 
-    ``before`` is the value that the attribute had when its owner was made. Loading a checkpoint writes into a new
-    object that was made from the same config. Unsaveable is raised for a reference that was bound or changed after its
-    owner was made, and for a value that only its owner can make.
+    ``before`` is the snapshot of the same attribute after the construction of its object. Loading a checkpoint writes
+    into a new object that was constructed from the same config. Unsaveable is raised for references, such as
+    functions, that changed after construction, and for generators or networks that were added after construction.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")
@@ -237,7 +237,7 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
 
 
 def restored_value(item: Any, present: Any = None) -> Any:
-    """Return the value that an item from ``snapshot`` describes; write the value into ``present`` if possible."""
+    """Return the value that a snapshot describes; write the value into the existing object ``present`` if possible."""
     if isinstance(item, torch.Tensor):
         alike = isinstance(present, torch.Tensor) and (present.shape, present.dtype) == (item.shape, item.dtype)
         if not alike or (0 in present.stride() and present.numel() > 1):  # Writing to an expanded tensor fails.

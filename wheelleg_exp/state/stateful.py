@@ -1,8 +1,8 @@
-"""Save objects whose attributes are their state, and settings of terms that changed after construction.
+"""Save and restore attributes of objects, and settings that changed after the construction of a term.
 
-A tensor attribute is always saved, unless the class names the attribute in ``settings``. All other attributes,
-including tensors in ``settings``, are saved only if they differ from their initial values. Restoring a checkpoint does
-not undo a change that was made in the config after the checkpoint was saved.
+A tensor attribute is always saved, unless the class names the attribute in ``settings``. An attribute that is not a
+tensor, or that ``settings`` names, is saved only if its value has changed since construction. Restoring a checkpoint
+does not undo a change that was made in the config after the checkpoint was saved.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # This string stands for a tensor attribute that is always saved.
+_TENSOR = "a tensor"  # `_TENSOR` replaces the initial value of a tensor attribute that is always saved.
 
 
 class _Base(NamedTuple):
@@ -37,12 +37,12 @@ class Stateful:
         return save(self)
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore a state that ``state_dict`` returned, in an object that was made in the same way."""
+        """Restore the state that ``state_dict`` of an identically constructed object returned."""
         restore(self, saved)
 
 
 def made(value: Any, key: str | None = None) -> None:
-    """Record an object's present attributes as its initial state; raise ConfigError if one cannot be saved."""
+    """Record an object's present attributes as its initial state; raise ConfigError if an attribute cannot be saved."""
     try:
         if any(vars(kind).get("__slots__") for kind in type(value).__mro__):
             raise Unsaveable("__slots__", value)
@@ -86,7 +86,7 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Copy the settings of ``made_anew`` to ``value``, but not the state. Tensors keep their memory addresses."""
+    """Copy the settings, not the state, of ``made_anew`` to ``value``, whose tensors keep their memory addresses."""
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
         vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
@@ -136,11 +136,11 @@ def stateful(value: Any, key: str) -> Any:
 
 
 class Settings:
-    """The settings of a term from its config. Settings of a term that a curriculum or other code changes are state.
+    """The settings of a term from its config, which are saved if a curriculum or other code changes them.
 
-    A changed setting is saved together with the setting's value from the config. It is restored only if the config
-    still has the same setting: a setting that was changed in the config has priority. ``groups`` are dictionaries of
-    settings by name, and ``skip`` names settings whose objects save their own state.
+    A changed setting is saved together with the setting's value from the config. A saved setting is restored only if
+    the setting's value in the config is still the same. ``groups`` are dictionaries of settings by name. Settings in
+    ``skip`` are not saved, because they are objects that save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
@@ -152,7 +152,7 @@ class Settings:
             own = {g: {n: v for n, v in values.items() if n not in self._skip} for g, values in self._groups.items()}
             return {group: {name: snapshot(v, name) for name, v in values.items()} for group, values in own.items()}
         except Unsaveable as error:
-            raise ConfigError(f"a setting of the term {error}, whose state cannot be saved", key=self._key) from error
+            raise ConfigError(f"a term's setting cannot be saved: the setting {error}", key=self._key) from error
 
     def state_dict(self) -> dict[str, Any]:
         """Return the changed settings by group and name, each with its value from the config."""
@@ -165,7 +165,7 @@ class Settings:
                 try:
                     change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
                 except Unsaveable as error:
-                    raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
+                    raise ConfigError(f"a changed value cannot be saved: the setting {error}", key=self._key) from error
                 found.setdefault(group, {})[name] = change
         return found
 

@@ -12,7 +12,7 @@ import torch
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
     """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
 
-    Tensors (N, ...) have one row per environment. Values without one row per environment are taken from ``after``.
+    Tensors (N, ...) have one row per environment. Values without one row per environment come from ``after`` unchanged.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}
@@ -26,5 +26,5 @@ def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
 
 
 def host_copy(tensor: torch.Tensor) -> np.ndarray[Any, Any]:
-    """Return a copy of a tensor in host memory. Simulation steps do not change the copy in host memory."""
+    """Return a copy of a tensor in host memory, which later simulation steps do not change."""
     return tensor.detach().cpu().numpy().copy()

@@ -1,9 +1,9 @@
 """Find and reject state that no checkpoint could restore.
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
-and classes, and values that the term writes to the scene, the managers, or the config. Variables of modules and of
-closures are not checked. The class ``Memory`` finds tensors that share memory. A checkpoint saves and restores each
-attribute separately. Two attributes that shared memory would have separate memory after a resume.
+and classes, and values that the term writes to the scene, the managers, or the config. ``Outside`` does not check
+global variables of Python modules and variables of closures. The class ``Memory`` finds tensors that share memory. A
+checkpoint saves each attribute separately, so memory that two tensors share would become separate after a resume.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.state.stateful import Stateful, attributes
 class Outside:
     """Detects changes that terms make outside their own attributes.
 
-    ``code`` has the function or class of each term by config key, and ``config`` is the config of the terms. Terms may
+    ``code`` maps each term's config key to the term's function or class. ``config`` is the terms' config. Terms may
     read but not write the objects in ``owners``: they must not add attributes to them or to this package's objects
     below them, and must not change their public numbers and texts. A class attribute or a default argument that is an
     iterator raises ConfigError, because the position of an iterator cannot be read.
@@ -38,7 +38,7 @@ class Outside:
         self._before = dict(self._seen())
 
     def require_unchanged(self) -> None:
-        """Raise ConfigError, which names the value, if a term has changed a value outside its own attributes."""
+        """Raise ConfigError if a term has changed a value outside its own attributes; the error names this value."""
         now = dict(self._seen())
         for place in {**self._before, **now}:
             was, item = self._before.get(place, NOTHING), now.get(place, NOTHING)
@@ -126,7 +126,7 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-# The work limit of NumPy's exact overlap check, beyond which overlapping address ranges count as shared.
+# If NumPy's exact overlap check exceeds its work limit, overlapping address ranges count as shared memory.
 _MOST_WORK = 10_000
 
 
@@ -142,9 +142,8 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object that share memory always raise ConfigError. A tensor of a saved object in ``owners`` may
-    share memory with a tensor that the function ``others`` returns. The two tensors must share memory from the start
-    until the end, so that a write reaches both tensors.
+    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners`` may share
+    memory with a tensor of another object or a tensor from ``others()``, if the memory is shared during the whole run.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
@@ -152,7 +151,7 @@ class Memory:
         self._shared = self._sharing()
 
     def require_apart(self) -> None:
-        """Raise ConfigError if two tensors have started or stopped to share memory since the start of the run."""
+        """Raise ConfigError if two tensors started or stopped sharing memory after the start of the run."""
         now = self._sharing()
         for owner, name, other in sorted(now ^ self._shared):
             verb = "has come to share" if (owner, name, other) in now else "no longer shares"
@@ -218,7 +217,7 @@ def _share(a: Any, b: Any) -> bool:
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return a NumPy array at a tensor's addresses. The array serves address checks only: GPU memory cannot be read."""
+    """Return a NumPy array with a tensor's memory addresses; do not read the array, which can be in GPU memory."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 

@@ -26,10 +26,10 @@ class Misfit:
 
     message: str
     expected: str
-    # the path from the config value to the wrong part; a wrong element of a list gets the path of the list
+    # The keys lead from the config value to its wrong part; for a wrong element of a list, to the list.
     keys: tuple[str, ...] = ()
-    nearest: str | None = None  # the valid word that is most similar to the wrong value
-    is_type: bool = False  # True for a value of a wrong type; False for a value out of range
+    nearest: str | None = None  # The valid word in ``nearest`` is most similar to the wrong value.
+    is_type: bool = False  # True means a value of a wrong type; False means a value out of range.
 
 
 def fits(value: Any, annotation: Any) -> bool:
@@ -66,7 +66,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     if origin is typing.Annotated:
         return _constrained(value, annotation, arguments[0], constraints_of(annotation))
     if origin in (typing.Union, types.UnionType):
-        # Return the mistakes in a value of a union type; the option with the value's type defines the valid values.
+        # If no member of the union fits, report the mistakes for the first member that has the value's type.
         found = [misfits(value, option) for option in typing.get_args(annotation)]
         if not all(found):
             return []
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # describe the expected value by the constraints of the type annotation
+    if found:  # The error describes the expected value by the constraints of the type annotation.
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -170,7 +170,7 @@ def _out_of_range(value: Any, expected: str) -> Misfit:
     return Misfit(f"{value!r} is out of range", expected)
 
 
-# --- text of annotations ---
+# --- annotation texts ---
 
 
 def describe(annotation: Any) -> str:
@@ -193,7 +193,7 @@ _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 def type_words(annotation: Any) -> str:
-    """Return the type of an annotation as text, without the constraints."""
+    """Return the type in an annotation as words for users, without the annotation's constraints."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is None or annotation is type(None):
         return "null"
@@ -218,7 +218,7 @@ def type_words(annotation: Any) -> str:
 
 
 def options_in(annotation: Any) -> Iterator[Any]:
-    """Yield the option types of a union annotation, or any other annotation itself, without constraints."""
+    """Yield each member type of a union annotation, or the one type of another annotation, without constraints."""
     annotation = bare(annotation)
     if typing.get_origin(annotation) not in (typing.Union, types.UnionType):
         yield annotation

@@ -20,7 +20,7 @@ def is_override(word: str) -> bool:
 
 
 def dotted(keys: Iterable[str]) -> str:
-    """Return the path as text. In the returned path, brackets enclose a key that contains dots or brackets."""
+    """Return a config path as text. In the text, brackets enclose each key that contains dots or brackets."""
     return functools.reduce(below, keys, "")
 
 
@@ -36,12 +36,12 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # the name of a pipeline's primary config, and the name of the config section of a pipeline
+PIPELINE = "pipeline"  # Hydra's primary config of a pipeline and the config section in it have this name.
 
 
 def names_pipeline(word: str) -> bool:
     """Return whether a config override or config key belongs to the config section ``pipeline``.
 
-    Overrides outside the section ``pipeline`` change the configs that the phases train.
+    Overrides outside the config section ``pipeline`` change the configs of the trainings that a pipeline starts.
     """
     return word.lstrip("+~").partition("=")[0].split(".")[0] == PIPELINE

@@ -1,7 +1,7 @@
-"""Resolve the target of a term node, and bind the node's keys to the target's parameters.
+"""Import the function or class that a term's config names in ``_target_``, and bind config keys to its parameters.
 
-A term node is a flat mapping with ``_target_``, the fields that the manager reads, and the term's parameters. A config
-can only name targets in allowed packages, so that a config cannot call arbitrary code.
+A term's config is a flat mapping with ``_target_``, the fields that the manager reads, and the term's parameters.
+``_target_`` can only name functions and classes in allowed packages, so that a config cannot call arbitrary code.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# The subpackages of wheelleg_exp that a config can call: terms, noise, entities, actuators, and sensors.
+# Configs can call functions and classes of these subpackages: terms, noise, entities, actuators, and sensors.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
 class NotAllowed(ConfigError):
-    """A config names a target or class that is outside the allowed packages."""
+    """A config names a function or class that is outside the allowed packages."""
 
 
 def allowed_packages() -> tuple[str, ...]:
-    """Return the packages that targets can come from: this package's terms, and packages that declare themselves.
+    """Return the packages whose functions configs can call: this package's terms, and packages that declare themselves.
 
     A user's package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is the
-    package's name. The entry point belongs to an installed package, or to the ``pyproject.toml`` of the project whose
-    configs are in use (see ``wheelleg_exp.packages``).
+    package's name. Installed packages, and the ``pyproject.toml`` of the project whose configs are in use, can declare
+    entry points (see ``wheelleg_exp.packages``).
     """
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
@@ -47,7 +47,7 @@ def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call arbitrary code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
-        # The target with its top package replaced by the most similar allowed package; None without a similar package.
+        # Suggest the wrong dotted path with its top package replaced by the most similar allowed package.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
         declared = 'or in a package that your project declares (recipe "A term of your own")'
@@ -61,9 +61,9 @@ def is_inside(name: str, packages: tuple[str, ...]) -> bool:
     return any(name.startswith(f"{package}.") for package in packages)
 
 
-_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # special keys of Hydra's function ``instantiate``
+_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # Only Hydra's ``instantiate`` reads these keys.
 
-# The fields that managers read, by section. A target must not have a parameter with the name of such a field.
+# For each config section, managers read these fields of a term; a term's function must not use the same names.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),
@@ -78,7 +78,7 @@ RESERVED: dict[str, tuple[str, ...]] = {
 # A config can omit the section ``recorders``; every other missing section is treated as an empty section.
 OPTIONAL = "recorders"
 
-# For each section, the types of the fields that managers read, and the fields that every term must have.
+# FIELD_TYPES has the type of each field that managers read; REQUIRED_FIELDS has the fields that each term needs.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
@@ -97,15 +97,15 @@ FIELD_TYPES: dict[str, Any] = {
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # A user-defined event mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
-# The fields of event terms that have an effect only in one mode, and the name of this mode.
+# Each of these fields of an event term has an effect only in one event mode, whose name is the value.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
-# The arguments that a manager passes to every target, and that a config must not contain.
+# Managers pass these arguments to the function of every term, so a config must not contain these arguments.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = ["cfg", "env"]  # the parameters of the constructors of classes that were written for Isaac Lab
+_CFG_ENV = ["cfg", "env"]  # Classes that were written for Isaac Lab have constructors with these parameters.
 
-# Old paths of targets in configs and runs of earlier versions, and the current paths of the same targets.
+# Configs of earlier versions can contain these old ``_target_`` paths; the values are the current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
 
 
@@ -115,7 +115,7 @@ class NotSelected(ConfigError):
 
 @dataclass(frozen=True)
 class TermNode:
-    """A split term node: the manager reads ``fields``, and ``params`` are passed to the target."""
+    """The config of a term: the manager reads ``fields``, and passes ``params`` to the function or class ``target``."""
 
     name: str
     path: str
@@ -154,9 +154,9 @@ def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
 
 
 def split_node(kind: str, path: str, node: Any) -> TermNode:
-    """Split the term node at the config key ``path`` into the fields of its manager and the parameters of its target.
+    """Split a term's config at the key ``path`` into fields that the manager reads and parameters of the function.
 
-    ``kind`` is the name of the section that contains the node, such as ``rewards``.
+    ``kind`` is the name of the config section that contains the term, such as ``rewards``.
     """
     if not isinstance(node, Mapping):
         raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
@@ -200,7 +200,7 @@ def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
 
 
 def resolve_target(target: str, path: str) -> Callable[..., Any]:
-    """Import and return the function or class that a target in an allowed package names."""
+    """Import and return the function or class with the dotted path ``target``, which must be in an allowed package."""
     target = _MOVED.get(target, target)
     require_allowed(target, path)
     module_name, _, attribute = target.rpartition(".")
@@ -226,7 +226,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
         raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
-    # Check the module that defines a target, because a module in an allowed package can import foreign functions.
+    # Check where the function or class is defined, because a module in an allowed package can import foreign code.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
@@ -258,8 +258,8 @@ def takes_cfg(target: Callable[..., Any]) -> bool:
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class whose signature lists the parameters that a config can set.
 
-    For a class with the constructor ``(cfg, env)``, return ``__call__``; if ``__call__`` is missing, return the class
-    that annotates ``cfg``. A target without this constructor is returned itself.
+    For a class with the constructor ``(cfg, env)``, return the method ``__call__``. Without this method, return the
+    class in the annotation of ``cfg``. Every other function or class is returned unchanged.
     """
     if not takes_cfg(target):
         return target
@@ -270,7 +270,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cfg_class(target: Callable[..., Any]) -> type | None:
-    """Return the class that annotates ``cfg`` in a constructor ``(cfg, env)``; None if the annotation is unknown."""
+    """Return the class in the annotation of ``cfg`` in a constructor ``(cfg, env)``; None without such a class."""
     made = vars(target).get("__init__") or target.__init__
     found = made.__annotations__.get("cfg")
     if isinstance(found, str):

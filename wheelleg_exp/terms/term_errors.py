@@ -1,7 +1,7 @@
 """Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-The module checks the nodes of a term against the annotations of the targets that the nodes name. ``failure`` converts
-an exception in the code of a term into an error with the term's config key and line.
+The module checks each value in a term's config against the annotation of the function parameter that gets the value.
+``failure`` converts an exception in the code of a term into an error with the term's config key and line.
 """
 
 from __future__ import annotations
@@ -124,10 +124,10 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
 
 
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations of a target's parameters, including constraints.
+    """Return the annotations of the parameters of a function or class, including constraints.
 
-    The result omits the annotations that name a class imported only under ``TYPE_CHECKING``. Terms written for Isaac
-    Lab annotate the environment with a class that is imported only under ``TYPE_CHECKING``.
+    Annotations with a class that is imported only under ``TYPE_CHECKING`` are omitted. For example, terms written for
+    Isaac Lab annotate the environment with a class that is imported only under ``TYPE_CHECKING``.
     """
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -153,7 +153,7 @@ def has_target(value: Any) -> bool:
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
     """Convert an exception that building a part of the scene raises into an error at the config key ``path``.
 
-    ``has_worked`` is true if the part was already built once; the error is then a failure of the run.
+    ``has_worked`` is true if this part of the scene was already built once; the error is then a SimulationFailure.
     """
     try:
         yield
@@ -174,8 +174,8 @@ def failure(
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    The function returns an interrupt unchanged, and also a WheellegError that is not a ConfigError. ``has_worked`` is
-    true if an earlier call of the term succeeded; the error is then a failure of the run. ``what`` names the failed
+    The user's Ctrl-C, and a WheellegError that is not a ConfigError, are returned unchanged. ``has_worked`` is true if
+    an earlier call of the term succeeded; the returned error is then a SimulationFailure. ``what`` names the failed
     function or class in the error message.
     """
     if isinstance(error, ConfigError):
@@ -193,7 +193,7 @@ def failure(
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
-    """Return an error with the term's config path before the error's key, unless this key is already a full path."""
+    """Return a copy of an error, with the term's config path put before ``error.key`` if the key is not a full path."""
     found = copy.copy(error)
     if found.key is None or not found.key.startswith("env."):
         found.key = f"{path}.{found.key}" if found.key else path

@@ -40,12 +40,12 @@ class Subject:
 
     @property
     def has_snapshot(self) -> bool:
-        """True if the run's snapshot is complete; a run without a complete snapshot stopped before its first step."""
+        """True if the snapshot of the run's config, source, and robot, which a run writes first, is complete."""
         return bool(self.data.get("source")) or self.has_ended
 
 
 State = Literal["ok", "note", "failed", "not checked"]
-_SHOWN = 10  # The largest number of lines that one check prints.
+_SHOWN = 10  # The largest number of lines that one check of a run prints.
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Check:
     text: str
     failures: list[str] = field(default_factory=list)  # The mistakes that the check found in the run.
     notes: list[str] = field(default_factory=list)  # harmless facts
-    skipped: str | None = None  # The reason why the check could not run; None if the check ran.
+    skipped: str | None = None  # The reason why the check of a run was skipped; None if the check ran.
 
     @property
     def state(self) -> State:
@@ -112,11 +112,11 @@ def cut(lines: Iterable[str]) -> list[str]:
     return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
 
 
-# The names of files that commands treat as parts of a run, even if the manifest does not list the files.
+# The names of files that commands treat as parts of a run, even if the run's manifest does not list them.
 _READ_BY_COMMANDS = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
 )
-# The names of files that a training writes until it ends, and only then records in the manifest.
+# The names of files that a training writes while it runs, and records in the manifest when it ends.
 _GROWING = re.compile(
     r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )
@@ -203,7 +203,7 @@ def _what_became_of(path: Path) -> str:
 
 
 def _is_growing(subject: Subject, name: str) -> bool:
-    """Return whether a run adds the file to the manifest only at the end of the run."""
+    """Return whether the run adds the file ``name`` to the manifest only when the run ends."""
     return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
 
 

@@ -29,7 +29,7 @@ from wheelleg_exp.verify import check_files
 from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
 from wheelleg_exp.verify.run_differences import changes_text, plain_changes
 
-# The OmegaConf resolvers whose values depend on the computer or on the time.
+# The OmegaConf resolvers whose values depend on the computer or the time.
 _OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
 
 
@@ -162,7 +162,7 @@ def checkpoints(subject: Subject) -> Check:
 
 
 def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
-    """Return the problems of a checkpoint, and the names of the compared hashes, such as that of the parameters."""
+    """Return the problems of a checkpoint, and the names of its hashes that were compared with the iteration log."""
     from wheelleg_exp.rl import checkpoint, digests
 
     iteration = checkpoint_iteration(path)

@@ -35,11 +35,12 @@ class Pair:
     """The checkpoints of one iteration in two runs."""
 
     iteration: int
-    state: Literal["bytes", "content", "different", "unreadable"]  # ``content``: equal tensors, but different bytes
-    count: int = 0  # The number of values that differ, out of ``of`` compared values.
+    # The state ``content`` means that two checkpoint files contain equal tensors, but different bytes.
+    state: Literal["bytes", "content", "different", "unreadable"]
+    count: int = 0  # The number of tensors, numbers, and texts that differ between two checkpoints.
     of: int = 0
-    differences: list[Difference] = field(default_factory=list)  # Differences of networks are first.
-    by_part: dict[str, int] = field(default_factory=dict)  # The number of differences in each part of the checkpoint.
+    differences: list[Difference] = field(default_factory=list)  # The list starts with differences of network weights.
+    by_part: dict[str, int] = field(default_factory=dict)  # The number of differences in each part of two checkpoints.
     parameters: float | None = None  # The relative Euclidean distance between the parameters of two networks.
     problem: str | None = None  # The reason why a checkpoint file cannot be read.
 
@@ -106,7 +107,7 @@ def _part(name: str) -> str:
 
 def _order(difference: Difference) -> tuple[int, float]:
     """Return the sort key of a difference: by part of the checkpoint, then by size."""
-    # Sort different shapes and missing tensors first, then NaN in one checkpoint, then large relative differences.
+    # In each part of a checkpoint, sort different shapes and missing tensors first, then NaN, then other values.
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     part = _part(difference.name)
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
@@ -168,7 +169,7 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
-    # Remove class numbers and sort constants, because both depend on the process that wrote a TorchScript archive.
+    # Ignore class-name numbers and the order of constants, which depend on the process that wrote the archive.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
@@ -187,7 +188,7 @@ def _archived_code(path: Path) -> dict[str, Any]:
 
 
 def _definitions(code: str) -> list[str]:
-    """Return the code of all classes and functions in a TorchScript file, without class numbers, constants sorted."""
+    """Return the classes and functions of TorchScript code with sorted constants and without numbers in class names."""
     ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), _NUMBER.sub("", code))
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 

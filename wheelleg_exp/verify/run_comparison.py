@@ -38,8 +38,8 @@ class Comparison:
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]  # Differences in code, versions, hardware, threads, and environment variables.
-    tolerance: Tolerance | None = None  # The measured deviations; None if no deviation is allowed or none exists.
+    environment: list[FactDifference]  # How the code, versions, hardware, threads, and variables of two runs differ.
+    tolerance: Tolerance | None = None  # How far two runs deviate; None if the runs are equal or must be equal.
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -81,8 +81,8 @@ def compare_runs(
     """Compare two training runs bit for bit.
 
     If the number ``iterations`` is given, only the iterations below this number are compared. If ``common`` is true,
-    only the iterations that both runs have are compared. A run that has not ended is compared up to its last iteration.
-    Without ``iterations`` and ``common``, two runs with unequal numbers of iterations are different.
+    only the iterations that both training runs have are compared. A run that has not ended is compared up to its last
+    iteration. Without ``iterations`` and ``common``, two runs with unequal numbers of iterations are different.
     """
     if a.path == b.path:
         raise RunDirectoryError(f"both runs are the run '{a.id}'", expected="two runs, or one run to check by itself")
@@ -125,7 +125,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         distance = None if here is None or here.parameters is None else (here.iteration, here.parameters)
         tolerance = judge(ones, others, distance, whole=span.whole)
     verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
-    # Check only equal runs for a manifest that was rewritten to hide a changed file, because this check is slow.
+    # Check for rewritten manifests only if the two runs seem identical, because this check is slow.
     if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
         parts["files"] = _damage_part(wrong)
         verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"

@@ -40,7 +40,7 @@ def decides(keys: Keys) -> bool:
 
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return the settings that differ between two runs; the settings that can change a number are first."""
+    """Return the settings that differ between two runs; settings that can change numbers of the training are first."""
     return sorted(plain_changes(_settings(a), _settings(b)), key=lambda change: not decides(change.keys))
 
 
@@ -55,7 +55,7 @@ def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
 
 
 def as_dict(change: Change) -> dict[str, Any]:
-    """Return a setting that differs between two runs as a JSON document."""
+    """Return a JSON document that describes a setting that differs between two runs."""
     # JSON has no value for a missing key, so write a missing value as text.
     a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
@@ -147,29 +147,29 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # The fact that is unknown before the import of torch.
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # The hardware fact that is unknown until torch is imported.
 
 
 @dataclass(frozen=True)
 class FactDifference:
     """One recorded fact that differs between two runs."""
 
-    section: str  # The manifest section of the fact, or ``code``, ``resumed``, or ``distributions``.
+    section: str  # The manifest section that contains the fact, or ``code``, ``resumed``, or ``distributions``.
     name: str
-    a: Any  # The fact's value in run A; a list of values if a resume changed the fact.
+    a: Any  # The value of the fact ``name`` in run A; a list of values if a resume changed the value.
     b: Any
-    allows: str | None = None  # Why the differing fact can change last digits; None if it cannot.
-    forbids: bool = False  # True if the differing fact, such as code, can change numbers by any amount.
-    note: str = ""  # A text that describes how the fact differs between two runs.
+    allows: str | None = None  # Why the fact ``name`` can change the last digits of numbers; None if the fact cannot.
+    forbids: bool = False  # True if the fact ``name``, such as code, can change numbers by any amount.
+    note: str = ""  # A text that describes how the fact ``name`` differs between two runs.
 
 
 def environment_differences(
     a: Mapping[str, Any], b: Mapping[str, Any], unknown: Collection[str] = ()
 ) -> list[FactDifference]:
-    """Return how two manifests, or parts of manifests, differ in the sections ``SECTIONS``.
+    """Return how two run manifests, or parts of manifests, differ in versions, hardware, threads, and variables.
 
-    A section that only one manifest has is skipped. The facts named in ``unknown`` are skipped, because one of the two
-    runs has not recorded these facts.
+    A section that only one manifest has is skipped. Facts in ``unknown``, which one of the two manifests does not
+    record, are not compared.
     """
     found = []
     for section in SECTIONS:
@@ -196,7 +196,7 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return the values of each fact in the processes (first start and resumes) that wrote a run, without repeats."""
+    """Return all different values of each fact (such as ``cpu``) in the processes that started and resumed a run."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -232,7 +232,7 @@ def _library(platform: Any) -> str:
 
 
 def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
-    """Return the source record of each repository of a run; the main repository is the first."""
+    """Return the recorded git state of each repository whose code a run used; the main repository is the first."""
     path = run.source / RECORD_NAME
     try:
         record = read_json(path) if path.is_file() else manifest.data.get("source")
@@ -252,13 +252,13 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # Without facts, the source records do not identify the source files.
+        if not facts:  # The source records of both runs are equal, but lack hashes of the source files.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
 def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
     """Yield resumes that were not exact, with the reasons: other code, or another machine."""
-    # Group the resumes by their first iteration, because several resumes can start from one checkpoint.
+    # Group resumes by the iteration from which they start, because several resumes can start from one checkpoint.
     inexact: tuple[dict[str, list[Mapping[str, Any]]], ...] = ({}, {})
     for found, manifest in zip(inexact, (a, b), strict=True):
         for entry in manifest.data["resumes"]:
@@ -275,7 +275,7 @@ def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
 
 
 def is_the_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether a resume was inexact only because the computer or package versions had changed since the start."""
+    """Return whether only another computer or other package versions prevented a resume with bitwise equal results."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
     return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())

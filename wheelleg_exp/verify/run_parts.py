@@ -46,7 +46,7 @@ class Span:
     until: int
     whole: bool  # True if all iterations of both runs are compared.
     closed: bool  # True if ``whole`` is true and neither of the compared runs was killed.
-    shorter: str | None = None  # The run with fewer iterations, ``A`` or ``B``; None if runs may differ in length.
+    shorter: str | None = None  # ``A`` or ``B``, the run with fewer iterations; None if unequal lengths are allowed.
 
     def covers(self, name: str) -> bool:
         """Return whether a file of a run belongs to the iterations that are compared with a second run."""
@@ -114,7 +114,7 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the hashes that one algorithm has computed for both of two log lines."""
+    """Return the names of the hashes in both log lines; no names if two different algorithms computed the hashes."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 
@@ -150,7 +150,7 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the logged hashes of two runs in every iteration."""
+    """Compare the logged hashes of two runs' training states in every iteration."""
     names: dict[str, int] = {}
     first: dict[str, int] = {}
     for one, other in zip(a, b, strict=True):

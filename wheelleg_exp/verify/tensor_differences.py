@@ -21,17 +21,17 @@ class Difference:
 
     name: str
     kind: str  # The kind of difference: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
-    a: Any  # The value at ``index`` in mapping A, or the shape, dtype, or type in A.
+    a: Any  # The value in mapping A: the element at ``index``, or the shape, dtype, or type of the value.
     b: Any
-    index: tuple[int, ...] = ()  # The tensor index of the largest difference.
-    largest: float | None = None  # The largest absolute difference of two tensors; NaN if NaN or inf differs.
+    index: tuple[int, ...] = ()  # The index of the tensor element with the largest difference.
+    largest: float | None = None  # The largest absolute difference of two tensors, which can be NaN or inf.
     relative: float | None = None  # The largest absolute difference divided by the larger magnitude of both values.
-    count: int = 1  # The number of tensor elements that differ, out of ``of`` elements.
+    count: int = 1  # The number of tensor elements that differ; ``of`` is the number of all elements.
     of: int = 1
 
 
 def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
-    """Yield the tensors, numbers, and texts that differ between two nested mappings, in the order of A, then of B."""
+    """Yield the tensors, numbers, and texts that differ between two nested mappings, in the order of their keys."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             yield from _child(a, b, key, f"{name}.{key}" if name else str(key))

@@ -1,21 +1,21 @@
 """Decide whether rounding alone can explain why two training runs have unequal numbers.
 
 A training amplifies even a difference in the last digit of a number. Two runs of the stock task with different matrix
-kernels agree to 1e-6 for about four iterations; after eight iterations, only the statistics of the runs agree. Two runs
-are within tolerance if they pass two tests:
+kernels agree to 1e-6 for about four iterations; after eight iterations, only the runs' statistics agree. Two runs are
+within tolerance if they pass two tests:
 
 - Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
-  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, different
-  matrix kernels caused a deviation of 1e-6, and a different seed caused at least 0.4.
+  so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, the scalars of
+  two runs deviated by 1e-6 with different matrix kernels, and by at least 0.4 with different seeds.
 - End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
   their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation
   of the return is large while a run learns fast. In a test with 110 iterations, the mean returns of two runs differed
   by 0.001 of the return's range.
 
-Iterations without a value of the return or episode length are skipped, such as those before the first episode ends. Two
-runs fail the end test if only one of the runs has a final return or episode length. Runs of at least 50 iterations are
-not within tolerance if neither return nor episode length can be compared. Runs of fewer than 50 iterations need to pass
-only the start test.
+Iterations without a value of the return or episode length are skipped, such as those before the first episode ends. If
+only one of two runs has a final return or episode length, the two runs are not within tolerance. Runs of at least 50
+iterations are not within tolerance if neither return nor episode length can be compared. If two runs have fewer than 50
+iterations, only the first iteration whose scalars differ is tested.
 
 If no known difference between the runs explains unequal numbers, every bit must be equal, and no tolerance applies.
 """
@@ -32,8 +32,8 @@ from wheelleg_exp.run.iteration_log import Line
 
 START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # The smallest number of iterations of runs to which the end test is applied.
-_TINY = 1e-9  # The smallest magnitude that counts as different from zero; smaller means are rounding errors.
+_SHORTEST = 50  # Returns at the end of two runs are compared only if the runs have at least 50 iterations.
+_TINY = 1e-9  # The smallest divisor of a relative deviation, because smaller scalars are rounding errors.
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class Excess:
     """The values of one number in two runs, their deviation, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # The training iteration of the number; None for a mean over iterations.
+    iteration: int | None  # The training iteration of ``a`` and ``b``; None if ``a`` and ``b`` are means.
     a: float
     b: float
-    off: float  # The deviation between two runs: relative in the start test, absolute in the end test.
+    off: float  # The deviation between ``a`` and ``b``, relative for values of one iteration, absolute for means.
     allowed: float
 
     @property
     def within(self) -> bool:
-        """True if the deviation of the number between the two runs is allowed."""
+        """True if the deviation between the values of a number in two runs is allowed."""
         return self.off <= self.allowed
 
     @property
@@ -62,14 +62,14 @@ class Excess:
 class Tolerance:
     """The measured deviations between two runs."""
 
-    start: list[Excess]  # The largest deviations in the first iteration in which two runs differ.
-    end: list[Excess]  # The deviations of the final return and episode length.
-    note: str = ""  # A text that says what was not compared in two runs.
-    needs_end: bool = False  # True if two runs must pass the end test.
+    start: list[Excess]  # The largest deviations between two runs in the first iteration in which the runs differ.
+    end: list[Excess]  # The deviations between two runs' final returns and between their final episode lengths.
+    note: str = ""  # A text about the numbers of two runs that were not compared.
+    needs_end: bool = False  # True if two runs must also agree in their final returns and episode lengths.
 
     @property
     def unknown(self) -> bool:
-        """True if two runs passed the start test, but lack the values for the required end test."""
+        """True if two runs agree in the first differing iteration, but lack the final values that must be compared."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
@@ -106,9 +106,9 @@ class Tolerance:
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
     """Measure the deviations between two runs in the iterations that both runs have.
 
-    ``parameters`` is the first differing iteration and the relative distance between the networks' parameters in this
-    iteration; None if a run saved no checkpoint in this iteration. ``whole`` is true if ``a`` and ``b`` contain all
-    iterations of the two runs.
+    ``parameters`` contains the first iteration in which two runs differ, and the relative distance between their
+    network parameters in this iteration. ``parameters`` is None if a run saved no checkpoint in the first differing
+    iteration. ``whole`` is true if ``a`` and ``b`` contain all iterations of the two runs.
     """
     parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
     start = [] if parting is None else [_start(*parting)]
@@ -129,7 +129,7 @@ def _start(a: Line, b: Line) -> Excess:
     for name in dict.fromkeys([*a.scalars, *b.scalars]):
         one, other = a.scalars.get(name), b.scalars.get(name)
         if one != other:
-            # The iteration log contains NaN as text, and one of the two runs can lack a scalar.
+            # The iteration log contains NaN as text, and one of two runs can lack a scalar, so convert both values.
             x, y = _number(one), _number(other)
             off = math.inf if math.isnan(x) or math.isnan(y) else abs(x - y) / max(abs(x), abs(y), _TINY)
             excesses.append(Excess(name, a.iteration, x, y, off, START))
@@ -137,7 +137,7 @@ def _start(a: Line, b: Line) -> Excess:
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
-    """Return the deviation of a scalar's mean over the last tenth of the iterations; None if both runs lack it."""
+    """Return how far a scalar's means over the last tenth of two runs differ; None if both runs lack the scalar."""
     ones, others = ([_number(line.scalars.get(name)) for line in lines] for lines in (a, b))
     last = max(len(a) // 10, 2)
     one, other = _finite(ones[-last:]), _finite(others[-last:])

@@ -107,7 +107,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
 
 def test_a_urdf_has_no_variants(tmp_path):
     source, variants = write(tmp_path, link("a")), {"Physics": "PhysX"}
-    refusal = "--variant Physics=PhysX: a URDF has no variants"
+    refusal = "--variant Physics=PhysX: a URDF file has no variants"
     with pytest.raises(AssetError, match=refusal):
         convert(source, tmp_path / "out.xml", variants=variants)
     with pytest.raises(AssetError, match=refusal):

@@ -58,7 +58,7 @@ Comparison = tuple[str, object, object]
 
 
 def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
-    """Raise an AssetError if the MuJoCo model differs from the description, which only a converter bug can cause."""
+    """Raise an AssetError if a bug in the converter makes the MuJoCo model differ from the robot description."""
     try:
         for what, got, want in _comparisons(model, robot):
             if not np.allclose(np.asarray(got, float), np.asarray(want, float), rtol=RELATIVE, atol=SMALL):

@@ -2,9 +2,9 @@
 
 The MJCF default class with the robot's name has the attributes that all elements of one type share, and each of its
 child classes has attributes that several elements share. A child class is named ``wheel`` or ``leg`` after the role of
-its elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. Roles
-come from the structure alone: a wheel is the last hinge of a limb, has no limits, and its shapes are round about its
-axis; the joints between trunk and wheel are its leg. The joints of a robot without wheels have no roles.
+its elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. A wheel
+is the last hinge of a limb, has no limits, and its shapes are round about its axis; the joints between trunk and wheel
+are its leg. In a robot without wheels, no joint has the role ``wheel`` or ``leg``.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         across = points - middle - np.outer((points - middle) @ along, along)
         first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
-        # A shape with a circular section has equal extents in all eight directions across its axis.
+        # A mesh counts as round if its extents in eight directions perpendicular to the axis are nearly equal.
         reach = [
             float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
             for angle in np.linspace(0, np.pi, 8, endpoint=False)
@@ -105,7 +105,7 @@ EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLI
 
 @dataclass
 class Family:
-    """Elements of one tag by name; ``grouping`` names the attributes that can make a class of their own (None: all)."""
+    """The MJCF elements of one tag; only attributes in ``grouping`` (None: all) move to a class of several elements."""
 
     tag: str
     members: Mapping[str, Attributes]
@@ -160,7 +160,7 @@ class Classes:
         return self._rest[tag, name]
 
     def inherited(self) -> bool:
-        """Return whether the robot's default class has attributes of joints or sites, which only bodies contain."""
+        """Return whether the MJCF default class with the robot's name contains attributes of joints or sites."""
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:

@@ -142,7 +142,7 @@ def tendon(item: Tendon) -> Attributes:
 
 
 def key(item: Closure | Coupling) -> str:
-    """Return a key that differs between a loop closure and a joint coupling with equal names."""
+    """Return a unique key of a MuJoCo equality, because a loop closure and a joint coupling can have the same name."""
     return item.name if isinstance(item, Closure) else f"{item.name} (coupling)"
 
 

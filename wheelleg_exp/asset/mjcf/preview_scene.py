@@ -91,7 +91,7 @@ def _free(stem: str) -> itertools.chain[str]:
 
 
 def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:
-    """Return the floor's height, and MuJoCo's qpos and ctrl of the saved pose on the floor; None if no body floats."""
+    """Return the floor's height (m), and the qpos and ctrl with which a floating robot stands on the floor, or None."""
     data = mujoco.MjData(alone)
     mujoco.mj_kinematics(alone, data)
     at_zero = round(_lowest(alone, data), 5)
@@ -121,7 +121,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _is_calm(model: mujoco.MjModel, step: float) -> bool:
-    """Return whether a robot, released in its start pose and its last keyframe, moves no faster than in free fall."""
+    """Return whether simulations from the start pose and from the last keyframe are stable with the time step."""
     model.opt.timestep = step
     gravity = float(np.linalg.norm(model.opt.gravity))
     bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))

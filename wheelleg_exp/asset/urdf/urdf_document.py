@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # the XML elements whose end tag has not been read yet, with their text
+    stack: list[tuple[Element, list[str]]] = []  # The end tags of these XML elements have not been read yet.
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -160,7 +160,7 @@ def open_document(source: Path) -> Document:
     if root.tag != "robot":
         message = f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>"
         raise AssetError(message, where=f"{source}:{root.line}", expected="<robot>")
-    # The path contains an element's attribute ``name`` if no sibling has the same name, else the element's position.
+    # An XML element's path contains its attribute ``name`` if no sibling has the same name, else its position.
     root.path = f"/{root.tag}"
     for element in root.walk():
         named = Counter((child.tag, child.attributes.get("name")) for child in element.children)

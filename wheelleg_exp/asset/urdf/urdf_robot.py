@@ -25,7 +25,7 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-PLANAR = ("_transX", "_transY", "_rotZ")  # the endings of the names of a planar joint's two slides and hinge
+PLANAR = ("_transX", "_transY", "_rotZ")  # The names of a planar joint's slides and hinge end like this.
 
 Range = tuple[float, float]
 

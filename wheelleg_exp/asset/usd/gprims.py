@@ -111,7 +111,7 @@ def _round(kind: ShapeKind, prim: Usd.Prim, at: _Placing) -> Shape:
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
-    # A USD capsule or cylinder without a single radius and a circular section becomes a convex hull.
+    # A capsule or cylinder with two different radii, a sheared one, and an oval cylinder become convex hulls.
     tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
     oval = at.scale is None or (
         kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
@@ -151,7 +151,7 @@ def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
     """Return an infinite plane.
 
-    The solid side of a plane is below the plane's axis, even if the transform mirrors the plane.
+    The plane's normal is along the axis of the USD plane, even if the transform mirrors the USD plane.
     """
     axis, note = _axis(prim)
     turn = Z_TO_AXIS[axis]

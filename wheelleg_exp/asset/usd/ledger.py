@@ -1,8 +1,8 @@
 """Read USD attributes as plain Python values, check the values, and record the MJCF part made from each attribute.
 
-A USD file can give an attribute any type and any number. Text in place of a number, NaN, and implausibly large numbers
-raise an error that names the prim and the attribute. A value that means "not given" (a mass of 0, an infinite limit) is
-not an error: its reader handles it.
+An attribute in a USD file can have a value of any type and size. Text in place of a number, NaN, and implausibly large
+numbers raise an error that names the prim and the attribute. A value that means "not given", such as a mass of 0 or an
+infinite limit, is not an error; the code that reads the attribute handles the value.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # Products of numbers above this limit could overflow.
+HUGEST = 1e30  # Products of several numbers above 1e30 could overflow to infinity.
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
@@ -175,13 +175,13 @@ class Ledger:
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
         """Return a USD attribute's authored value as plain Python, or None, and record the MJCF part made from it.
 
-        The method can read attributes of schemas that the USD library does not know.
+        Attributes of schemas that the USD library does not know can also be read.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return None
         value = value_of(attribute, kind_of(name))
-        # The conversion report shows the joint numbers of the USD file next to the converted joint numbers.
+        # The conversion report shows the values of a joint's USD attributes next to the converted values.
         if isinstance(value, (float, int, str)) and prim.IsA(UsdPhysics.Joint):
             self.authored.setdefault(str(prim.GetPath()), {})[name] = value
         if became and value is not None:

@@ -20,7 +20,7 @@ from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
-Names = Mapping[str, str]  # the MJCF names of elements by USD prim path
+Names = Mapping[str, str]  # The keys are USD prim paths; the values are the names of MJCF elements.
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
@@ -249,7 +249,7 @@ def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
     targets = [str(path) for path in stage.ledger.targets(prim, "mjc:path", "the tendon's path")]
     order = indices(stage, prim, "mjc:path:indices", "the tendon's path") or list(range(len(targets)))
     if not order or not all(0 <= i < len(targets) for i in order):
-        raise _BrokenPath("the tendon's path is empty, or shorter than its indices require")
+        raise _BrokenPath("the tendon's path is empty, or 'mjc:path:indices' contains an index beyond the path's end")
     return [targets[i] for i in order]
 
 
@@ -340,7 +340,7 @@ def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Key
 
 def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescription) -> desc.Keyframe | None:
     extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
-    # The required length of each array of a keyframe.
+    # Each array of a MuJoCo keyframe must have the length that the robot's bodies and joints require.
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls

@@ -123,7 +123,7 @@ BITS = 31  # of MuJoCo's 32 bits
 
 @dataclass(frozen=True)
 class Filters:
-    """The pairs of bodies that never touch, and the collision bits of geoms, by the prim path of the geom's shape."""
+    """``pairs`` of bodies never touch; ``bits`` maps each shape's USD prim path to the collision bits of its geom."""
 
     pairs: tuple[tuple[str, str], ...]
     bits: Mapping[str, Extra]
@@ -140,9 +140,9 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Return a number for each shape; shapes with equal numbers belong to equal sets of the collision rules.
+        """Return a class number for each shape; the same collision rules apply to all shapes of one class number.
 
-        A shape with the number 0 belongs to no set of the collision rules.
+        No collision rule applies to a shape with the class number 0.
         """
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # contype and conaffinity have one bit for each class of filtered shapes, and the first bit for all other shapes.
+    # The first collision bit is for shapes without collision rules; each class with rules has one further bit.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -210,7 +210,7 @@ def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Yield USD's filtered pairs of bodies, and add USD's filtered pairs of other shapes to ``rules``."""
+    """Yield USD's filtered pairs of bodies; add USD's filtered pairs with a single shape to the collision rules."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -271,7 +271,7 @@ def _body_pairs(
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the body pairs without any contact, and the body pairs of which only some shapes never touch.
 
-    The function handles bodies together if their shapes belong to equal sets of the collision rules.
+    Bodies whose shapes have the same class numbers (``_Rules.classes``) are handled together.
     """
     if not forbidden:
         return [], []

@@ -3,8 +3,8 @@
 The USD library opens every file that a layer names, and would wait forever for data from a named pipe.
 
 A missing texture, material library, or layer of visuals is reported and skipped. A missing physics layer is an error,
-because bodies, joints, and colliders would vanish silently. What was referenced from a layer, and where, decides its
-kind, not its name: one mesh file often contains both visuals and colliders.
+because bodies, joints, and colliders would vanish silently. The prims that refer to a missing layer, not the layer's
+name, determine whether the layer contains physics, because a mesh file often contains both visuals and colliders.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Missing:
 
     @property
     def prim(self) -> Sdf.Path:
-        """The first prim that refers to the missing layer or prim."""
+        """The first prim whose reference to a USD layer or prim cannot be resolved."""
         return self.prims[0]
 
 
@@ -165,8 +165,8 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return a text about the collider whose shapes are in a missing layer of ``holder``, or an empty string."""
-    # The nearest ancestor that is a collider or a visual determines whether a missing layer contains physics.
+    """Return an error text if a collider lacks shapes because the prim ``holder`` lacks a layer; else an empty text."""
+    # A missing layer contains colliders if the nearest ancestor prim with a known purpose is a collider, not a visual.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

@@ -58,7 +58,7 @@ def _is_single(prim: Usd.Prim) -> bool:
 
 def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
     by_joint = body.parent is not None
-    # Round the centre of mass and the axes. The moments of inertia stay unchanged, because they depend on each other.
+    # Round the centre of mass and the principal axes, but not the moments of inertia, which depend on each other.
     w, x, y, z = _shortest(body.inertial.axes, 1.0)
     return replace(
         body,

@@ -227,7 +227,7 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
 @contextmanager
 def library(source: Path) -> Iterator[None]:
     """Hide the USD library's terminal messages, and convert USD errors and OSError to AssetError."""
-    # The delegate collects the USD library's messages, which would otherwise go to stderr.
+    # USD's diagnostic delegate collects the USD library's messages, which would otherwise go to stderr.
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
@@ -243,7 +243,7 @@ def library(source: Path) -> Iterator[None]:
 
 
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
-    """Return the USD library's first error message, for a text layer with the line number and the text of the line."""
+    """Return an AssetError with the USD library's first message; for a text layer, also with the wrong line."""
     text = _complaint(error)
     place = re.search(r"(\S+?):(\d+):(\d+): .*?(Expected .*?)?at (.*)$", text)
     if place is None:
@@ -282,7 +282,7 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
-    for name, options in variant_sets(root).items():  # USD ignores all variants of a set without a selection.
+    for name, options in variant_sets(root).items():  # Without a selection, USD ignores a whole variant set.
         holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
         if options and not holder.GetVariantSet(name).GetVariantSelection():
             hint = f"--variant {name}=NAME takes one of {', '.join(options)}"
@@ -309,7 +309,7 @@ def _units(usd: Usd.Stage, source: Path) -> Units:
     for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
         if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
             expected = "a positive number, such as 1 or 0.01"
-            raise AssetError(f"the stage's value of {name} is {value:g}", where=str(source), expected=expected)
+            raise AssetError(f"the USD stage has {name} = {value:g}", where=str(source), expected=expected)
     return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 

@@ -46,10 +46,10 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
     used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
     _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
-    order = report.dof_order  # The printed table lists the joints in MuJoCo's order.
+    order = report.dof_order  # The printed table of joints lists the joints in MuJoCo's order.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
-    # Print a row for each kind of assumption, with the assumed value and the joints or links that use the value.
+    # For each rule that assumes a missing value, print the value and the joints or links that use the value.
     rules: dict[str, dict[str, str]] = {}
     for item in report.assumptions:
         rules.setdefault(item.rule, {})[item.path] = item.value
@@ -153,7 +153,7 @@ def _shortly(value: Any) -> str:
 
 
 def _left_out(report: Report) -> None:
-    # At the end, print the left-out items that do not affect the robot's motion.
+    # Print the items of the robot file that were not converted; harmless items are at the end of the list.
     harmless = ("declared without", "a note of", "there is one")
     items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
     if items:

@@ -162,8 +162,8 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     """Print tables of a recording's contents and performance figures.
 
     ``others`` contains the paths of all recordings of the run except the printed recording. The performance figures are
-    computed from the recorded rows that ``selection`` selects. ``status`` is the run's status for a recording of the
-    training, and None for a recording of a play.
+    computed from the recorded rows that ``selection`` selects. ``status`` is the status of the training run that was
+    recorded, and None for a recording of ``wheelleg play``.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:

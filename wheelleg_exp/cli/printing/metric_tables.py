@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
-# The figures of a play that exclude the settling time at the start of an episode.
+# The performance metrics that ignore the first seconds of each episode, in which the robot settles.
 _SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")
 
 _MOTION: Mapping[str, Callable[[float], str]] = {
@@ -31,7 +31,7 @@ _MOTION: Mapping[str, Callable[[float], str]] = {
 
 
 def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
-    """Print a play's performance figures, each with the number of steps or episodes that the figure covers."""
+    """Print performance metrics of simulated episodes, each with the number of steps or episodes behind the metric."""
     ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
     of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
     values = {
@@ -73,7 +73,7 @@ def print_recording(path: Path | None) -> None:
 
 
 def _motion(motion: MotionFigures, figures: StandFigures) -> Iterator[tuple[str, str, str]]:
-    """Yield table rows of motion figures; a figure with a value per actuator group gets one row per group."""
+    """Yield table rows with metrics of the robot's motion; a metric with several actuator groups gets several rows."""
     ways, settled = _counted(figures.settled_episodes, "episode"), _settled(figures)
     found = motion.as_dict()
     for key, form in _MOTION.items():

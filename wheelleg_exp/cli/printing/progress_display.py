@@ -131,7 +131,7 @@ def figures(scalars: Mapping[str, float]) -> str:
 
 
 class ConsoleSweepDisplay(LiveLines):
-    """Show a sweep's progress on standard error; print a note that several jobs of the sweep emit only once."""
+    """Show a sweep's progress on standard error; print equal notes of several jobs of the sweep only once."""
 
     def __init__(self) -> None:
         super().__init__(TimeElapsedColumn())

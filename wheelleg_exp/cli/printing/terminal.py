@@ -65,7 +65,7 @@ class LastingStream:
 
 
 def styled(stream: Any) -> Any:
-    """Return standard output or standard error for text with colours and moving lines (``LastingStream.styled``)."""
+    """Return the variant of standard output or standard error that writes escape sequences of colours unchanged."""
     return stream.styled() if isinstance(stream, LastingStream) else stream
 
 
@@ -73,7 +73,7 @@ def styled(stream: Any) -> Any:
 def lasting_streams() -> Iterator[None]:
     """Inside the ``with`` block, ignore all write errors on standard error, and a closed pipe on standard output.
 
-    Write errors on standard error are ignored, so that a closed terminal or a full disk does not stop a training. On
+    A closed terminal or a full disk must not stop a training, so errors of writes to standard error are ignored. On
     standard output, which contains the result of the command, every write error except a closed pipe is raised.
     """
     before = sys.stdout, sys.stderr
@@ -144,8 +144,8 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the terminal, with a hanging indent.
 
-    ``first`` is a label before the first line of the text, padded with spaces to the width of the indent. With an empty
-    label ``first``, the first line of the text is not indented.
+    ``first`` is a label before the first line of ``text``, padded with spaces to ``indent`` characters. With an empty
+    ``first``, the first line of ``text`` is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""

@@ -20,7 +20,7 @@ from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
 # The config keys whose values are dotted names of objects that rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
-# The rsl_rl parameters whose value is a name, and the function of rsl_rl.utils that looks up the name.
+# For each rsl_rl parameter whose value is a name: the function of rsl_rl.utils that looks up the name.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
 _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
@@ -85,7 +85,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         names = [known for module in modules for known in dir(module) if not known.startswith("_")]
         nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # Check the module that defines the named object, because an allowed module can import foreign functions.
+    # Also check the module that defines the class, because an allowed module can import classes of other packages.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if defined_there else [refused]
 
@@ -97,7 +97,7 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
         return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # The function _check_class_name reports an unknown class.
+        return []  # The function _check_class_name reports an unknown class name.
     errors = _check_parameters(path, node, found)
     # rsl_rl accepts an actor without a distribution, but cannot train such an actor.
     is_actor = path in ("agent.actor", "agent.student")
@@ -141,7 +141,7 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
             errors.append(not_one_of(message, name, accepted, key=key))
         elif isinstance(value, Mapping) and "class_name" in value:
             errors += _check_constructor(key, value)
-        elif name not in PARAMETERS:  # The function parameter_errors checks the values in PARAMETERS.
+        elif name not in PARAMETERS:  # The function parameter_errors checks rsl_rl parameters in the table PARAMETERS.
             wrong = value_errors(key, value, accepted[name].annotation)
             words = known_words(name, value) if name in RESOLVERS and not wrong else None
             errors += wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]
@@ -157,7 +157,7 @@ def _takes_any(found: Any) -> bool:
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the activations or optimisers that rsl_rl lists in the error for ``value``; None if there is no error."""
+    """Return the names of activations or optimisers that rsl_rl accepts; None if rsl_rl accepts the name ``value``."""
     import rsl_rl.utils
 
     try:

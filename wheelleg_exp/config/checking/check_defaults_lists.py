@@ -26,7 +26,7 @@ class MountedFile:
     """A config file, and the key of the config tree at which Hydra puts the file's content.
 
     ``config_path`` is the name that Hydra gives to the config file, such as ``reward/alive``. ``package`` is the key
-    below which Hydra puts the file's content; an empty key means the top of the config tree. ``parent`` is the config
+    below which Hydra puts the content of the config file; an empty key is the top of the tree. ``parent`` is the config
     file whose defaults list selects this file.
     """
 
@@ -43,7 +43,7 @@ class MountedFile:
 
     @property
     def name(self) -> str:
-        """The option of the config group that the file defines, such as ``alive``."""
+        """The name of the config file without ``.yaml``, such as ``alive``, which is an option of a config group."""
         return self.config_path.rpartition("/")[2]
 
 
@@ -60,7 +60,7 @@ def mounted_files(composed: Composed) -> list[MountedFile]:
 
 
 def mount_place(composed: Composed, mounted: MountedFile) -> str:
-    """Return the override, or the file and line, that selects a config file and the key of the file's content."""
+    """Return the place that selects a config file: an override, or the file and line of a defaults list."""
     for override in reversed(composed.parsed):
         value = override.value()
         names = value if isinstance(value, list) else [value]
@@ -73,7 +73,7 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
 
 def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find config files whose content is at a wrong key, because they lack a ``# @package`` line."""
-    # A config file needs no `# @package` line if a defaults list mounts the file with `group@package`.
+    # A config file needs no `# @package` line if a defaults list selects the file with `group@package`.
     misplaced = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
     found = missing_headers(composed.loader.repository_used, ())
     return [error for error in found if error.key in misplaced]
@@ -86,7 +86,7 @@ def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
 
 
 def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find config files of terms whose term has no target after Hydra has composed the config."""
+    """Find config files whose term has no ``_target_``, not even after Hydra has composed the whole config."""
     errors = []
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -141,7 +141,7 @@ def _term_file_error(file: MountedFile) -> ConfigError:
 
 
 def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
-    """Return the config without the settings that faulty files of terms put directly into a section of terms."""
+    """Return the config without parameters that a config file puts into a section of terms, but outside of any term."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
         section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
@@ -152,9 +152,9 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """If no code reads a key because a file was mounted at a wrong place, change the error to name the mount.
+    """In each error about an unread key, name the defaults list or override that put a config file at this key.
 
-    The returned errors include none for settings of terms in wrongly mounted files.
+    Remove an error about a missing ``_target_`` if the config file of the term is at an unread key.
     """
     astray: set[str] = set()
     for error in errors:
@@ -171,7 +171,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the config files at a key that no code reads, unless an override or a second file sets a subkey."""
+    """Return the config files at a key that no code reads; return no files if an override also sets a subkey."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
@@ -191,10 +191,10 @@ def emptied_by(composed: Composed, key: str) -> str | None:
 
 
 def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
-    """Find terms that a defaults list contains twice, or that both a config and the config's parent list.
+    """Find terms that are selected twice: by one defaults list, or by a config file and the file that it extends.
 
-    A second mount of a term's file would overwrite the parent config's settings for the term. A term that the value
-    null has removed can be listed a second time.
+    If Hydra merged a term's file a second time, the file would overwrite other settings of the term. If a config file
+    sets a term to null, a later defaults list can select the term again.
     """
     seen: dict[tuple[str, str], int] = {}
     errors = []
@@ -244,7 +244,7 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find defaults lists whose order of terms differs from the order of the terms in the composed config.
 
-    A file that sets a parameter of a term before the term's own file is mounted changes the order of terms.
+    The order of terms changes if a file sets a parameter of a term before Hydra merges the term's own file.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:
@@ -270,7 +270,7 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return an error for each setting of Hydra in a config file that Hydra reads only from the primary config."""
+    """Return an error for each ignored setting of Hydra itself in a config file that is not the primary config."""
     errors = []
     for mounted in files:
         if mounted.config_path == primary:

@@ -72,7 +72,7 @@ def names_in_mjcf(file: Path) -> RobotNames:
 
 ROBOT = "robot"
 _KINDS = {"joint_names": "joint", "body_names": "body"}
-# The parameters of action terms and actuators that can be mappings from joint expressions to values.
+# The parameters of action terms and actuators that can be mappings from joint-name expressions to values.
 _BY_JOINT = {
     "actions": ("scale", "offset", "clip"),
     "actuators": ("stiffness", "damping", "effort_limit", "velocity_limit", "armature"),
@@ -117,10 +117,10 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
 
 
 def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tuple[list[str], list[ConfigError]]:
-    """Return those of ``names`` that regular expressions match, in order, and the mistakes in the expressions."""
+    """Return the joint or body ``names`` that regular expressions match, and the mistakes in these expressions."""
     listed = [expressions] if isinstance(expressions, str) else list(expressions)
     if not all(isinstance(expression, str) for expression in listed):
-        return [], []  # The check of types reports an expression that is not a string.
+        return [], []  # A separate type check reports a regular expression that is not a string.
     errors = [error for expression in listed for error in _match_error([expression], names, key, what)]
     errors = errors or _match_error(listed, names, key, what)
     return ([], errors) if errors else (match_names(listed, names, key=key, what=what)[1], [])
@@ -165,11 +165,11 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
 def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
     groups = config["env"]["robot"].get("actuators")
     if not isinstance(groups, Mapping):
-        return []  # The check of env.robot reports a wrong section of actuators.
+        return []  # A separate check reports a config section env.robot.actuators that is not a mapping.
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # The function _actuators reports a wrong expression.
+        return []  # The function _actuators reports a regular expression that matches no joint.
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):
@@ -217,7 +217,7 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
     try:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
-        return None  # The check of terms reports an unknown target.
+        return None  # The module check_terms reports a ``_target_`` that cannot be imported.
 
 
 def _names(
@@ -237,7 +237,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # The function check_robot reports a sensor's wrong expression.
+            continue  # The function check_robot reports a sensor's expression that matches no body.
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":

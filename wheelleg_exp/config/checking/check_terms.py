@@ -1,7 +1,7 @@
 """Check the terms of a config, and the references from one config section to another section.
 
-The config must select each term, whose target must exist and be allowed, and whose parameters must be valid. The
-command, action term, reward, or observation group that a term's parameter names must exist.
+Each term needs valid parameters and a ``_target_``, which must be an existing class or function of an allowed package.
+If a parameter of a term names a command, an action term, or a reward, the config must contain this other term.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# For each section, the base class of terms, and the first arguments that the manager passes to a term function.
+# For each config section, the base class of the section's terms, and the first arguments of a term function.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
@@ -55,7 +55,7 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
-    """Return the mistakes in one term: its selection, its target, its manager's fields, and its parameters."""
+    """Return the mistakes in one term: a missing or wrong ``_target_``, wrong manager fields, and wrong parameters."""
     try:
         term = binding.split_node(section, path, node)
     except ConfigError as error:
@@ -65,7 +65,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
-    # Report the mistakes in a term's parameters only if the term's target is valid in the term's section.
+    # Report the mistakes in a term's parameters only if the term's ``_target_`` is valid in the term's section.
     wrong = _section_errors(section, term) or _kind_errors(section, term, target)
     return errors + (wrong or parameter_errors(section, term, target))
 
@@ -97,7 +97,7 @@ def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., Any
 
 
 def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Reject a stock term of a different section, because this section's manager would misread its return value."""
+    """Return an error for a stock term in a wrong section, such as a stock reward term in ``env.events``."""
     module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
     belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
     if belongs is None or belongs == section:
@@ -112,7 +112,7 @@ def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
-    """Import an allowed target. For a target with a misspelled module, the error names the most similar module."""
+    """Import the object of a ``_target_`` path; the error for a misspelled module names the most similar module."""
     try:
         return binding.resolve_target(target, path)
     except ConfigError as error:
@@ -123,7 +123,7 @@ def import_target(target: str, path: str) -> Callable[..., Any]:
 
 
 def _nearest_target(target: str) -> str | None:
-    """Return a target with its first unknown module replaced by the most similar module; None without a similar one."""
+    """Return a ``_target_`` path with its misspelled module corrected; None if no module has a similar name."""
     parts = target.split(".")
     for n in range(1, len(parts) - 1):
         try:
@@ -139,7 +139,7 @@ def _nearest_target(target: str) -> str | None:
 
 
 def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in every ``_target_`` node that is not a term, such as a sensor, actuator, or noise."""
+    """Return the mistakes in the ``_target_`` nodes of sensors, actuators, noise models, and all other non-terms."""
     terms = {path for _, path, _ in term_nodes(config)}
     errors: list[ConfigError] = []
     for path, node in binding.walk_nodes(config):
@@ -180,7 +180,7 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
     if not used <= set(groups) or not all(sets.values()):
         return []  # The function check_agent reports a misspelled observation group.
     if at(config, "agent.teacher") is not None:
-        used |= set(groups)  # A student's task also contains the observation groups of the teacher's critic.
+        used |= set(groups)  # A distillation config also contains the observation groups of the teacher's critic.
     unused = [
         ConfigError(
             f"no network reads the observation group '{name}'",
@@ -203,7 +203,7 @@ def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
     if count < 1:
-        return []  # The check of types reports a wrong number in env.num_envs.
+        return []  # A separate type check reports an invalid value of env.num_envs.
     if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
         return []
     expected = f"at least one environment, each once, from 0 to {count - 1}"

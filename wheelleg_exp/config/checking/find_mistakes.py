@@ -79,7 +79,7 @@ class _TolerantRepository(Repository):
 
 
 class TolerantLoader(Loader):
-    """A Hydra loader that ignores the config files and overrides that a ``Leniency`` lists."""
+    """A Hydra config loader that ignores given broken files, and given ``override`` entries of defaults lists."""
 
     def __init__(self, config_dirs: Sequence[Path], leniency: Leniency) -> None:
         super().__init__(config_dirs)
@@ -89,7 +89,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Reuse the Hydra repository that the parent class creates, because its search path is complete.
+        # Reuse the Hydra repository of the class Loader, because this repository has the complete search path.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -97,14 +97,13 @@ class TolerantLoader(Loader):
 def check(composed: Composed) -> list[ConfigError]:
     """Return every mistake in a composed config that can be found without a simulation.
 
-    The checks cover keys, types, ranges, targets, parameters, unselected terms, the classes and observation groups of
-    the agent, names of joints and bodies, and the config files. Each returned error contains the file and line, or the
-    override, of the wrong value.
+    The function checks keys, value types and ranges, terms, the agent's classes, joint and body names, and config
+    files. Each returned error contains the file and line, or the override, of the wrong value.
     """
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
     if misplaced:
-        # All keys of a wrongly mounted file are at a wrong place, so further mistakes are consequences of the mount.
+        # A config file at a wrong key causes many further errors, so return only the errors about such files.
         return misplaced
     config = lists.without_strays(composed.config, files)
     errors = (
@@ -129,7 +128,7 @@ def check(composed: Composed) -> list[ConfigError]:
         if error.where is None and error.key is not None:
             emptied = lists.emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
             error.where = emptied or composed.provenance.where(error.key)
-        # The error for a missing config section names the task's file, because no line sets the section.
+        # The error for a missing config section names the task's file, because no line of a file sets the section.
         if error.where is None and isinstance(error, MissingValue):
             error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
         place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
@@ -140,8 +139,8 @@ def check(composed: Composed) -> list[ConfigError]:
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
     """Remove errors that are only consequences of errors about keys that no code reads.
 
-    The function removes errors below a key that no code reads. The function also removes the error for a missing key if
-    a misspelling of the missing key exists. The errors for targets that are not allowed are never removed.
+    If no code reads a key, the errors for its subkeys are removed. The error for a missing key is removed if an unread
+    key is a misspelling of the missing key. An error for a ``_target_`` in a forbidden package always remains.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -157,8 +156,8 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
     """Return whether an error can be a consequence of ``lost``, the config keys whose content is unknown.
 
-    A name in ``lost`` that starts with a dot is a key suffix, which matches at any place in the config. An empty name
-    in ``lost`` means every key of the config.
+    An entry of ``lost`` with a leading dot, such as ``.alive``, matches a key ``alive`` at any depth of the config. An
+    empty string in ``lost`` means that the content of every config key is unknown.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -189,7 +188,7 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
 
 @dataclass(frozen=True)
 class _Asset:
-    """The keys of ``env.robot`` from which the robot's names can be read."""
+    """The keys of ``env.robot`` that select the robot file, from which joint and body names are read."""
 
     asset: str
     base: Literal["auto", "floating", "fixed"] = "auto"
@@ -281,7 +280,7 @@ class _Search:
             self.overrides = kept
             return True
         if blamed:
-            return False  # The error is about several words that do not form one override.
+            return False  # The config error quotes several command-line words that do not form one override.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
@@ -295,7 +294,7 @@ class _Search:
             return False
         self.leniency.empty.add(path)
         self.lost += self._places(path)
-        if error.nearest:  # Settings of the correctly spelled option are no mistakes.
+        if error.nearest:  # Ignore errors in the settings of the option whose name was misspelled.
             self.lost.append(f".{error.nearest}")
         return True
 

@@ -1,7 +1,7 @@
 """Compose a config from files and overrides, and apply overrides to a recorded config.
 
-The source of each leaf is known: a file and line, or an override. An override of one of Hydra's own settings that have
-no effect in this program is an error.
+The source of each config value is known: a file and line, or an override. An override of a Hydra setting that has no
+effect in this program raises ConfigError.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Composed:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """The source of each leaf. The sources (files and overrides) of all config values, computed on first use."""
+        """The sources (files and overrides) of all config values, computed on first use."""
         return trace(self.loader, self.primary, self.parsed)
 
     @cached_property
@@ -244,8 +244,8 @@ _ANOTHER_VALUE = "another value"
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    The overrides cannot select options of config groups, because no config file is read. Null terms are removed. An
-    override of a missing key or of one of Hydra's own settings raises ConfigError.
+    The function reads no config file, so an override cannot select an option of a config group. Null terms are removed.
+    An override of a missing key or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
@@ -272,11 +272,11 @@ def require_read(
     read: Callable[[Mapping[str, Any]], Any],
     instead: Mapping[str, str],
 ) -> None:
-    """Raise ConfigError if an override of a config tree has no effect on the result of ``read(tree)``.
+    """Raise ConfigError if an override sets a config key that the calling command does not read.
 
-    An override has an effect if a changed value at the override's key changes the result of ``read(tree)``. An override
-    that repeats the recorded value is accepted. ``instead`` maps a key to the advice for overrides below this key; the
-    key ``""`` stands for all remaining keys.
+    ``read`` returns the values of a config tree that the command reads. An override can also repeat the old value of a
+    key that the command reads. ``instead`` maps a config key to the advice in the error for an override at or below the
+    key. The key ``""`` in ``instead`` stands for all remaining config keys.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -300,7 +300,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Add the override of the wrong key to each ConfigError from the ``with`` block that has no file and line."""
+    """Inside the ``with`` block, add the override of the wrong key to each ConfigError without a file and line."""
     try:
         yield
     except ConfigError as error:
@@ -324,7 +324,7 @@ def _parse(text: str) -> Override:
     override = OverridesParser.create().parse_override(text)
     if override.is_sweep_override():
         raise ConfigError(
-            "a sweep is not possible in this command", key=text, where=f"override {text}", expected="one value"
+            "the command accepts no sweep of several values", key=text, where=f"override {text}", expected="one value"
         )
     return override
 

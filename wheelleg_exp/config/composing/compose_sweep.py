@@ -217,7 +217,7 @@ def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig 
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # If Hydra cannot compose the sweep, the mistakes of the jobs explain the reason.
+        return None  # If Hydra cannot compose the sweep, the errors in the configs of its jobs explain the reason.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:

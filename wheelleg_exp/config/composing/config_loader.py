@@ -1,7 +1,7 @@
 """Load config files with Hydra's loader, without global Hydra state, and record every file that was read.
 
-If two config folders contain files of one name, a ``# @replaces`` line must mark the file that replaces the file in the
-second folder. If most files of a group have a ``# @package`` line, every file of the group must have one.
+If config files in two folders have the same name, one file needs a ``# @replaces`` line to replace the other file. If
+most files of a config group have a ``# @package`` line, every file of the group must have one.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def replaced_by(file: Path) -> tuple[str, int] | None:
 def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
     """Return the file to read for a config such as ``reward/alive``, if several folders contain a file of that name.
 
-    The returned file has a ``# @replaces`` line. Raise ConfigError if a file would never be read, if two files replace
-    one file, or if the replaced file is missing.
+    Of several files, the function returns the file with a ``# @replaces`` line. Raise ConfigError if a file would never
+    be read, if two files replace one file, or if the replaced file is missing.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -97,7 +97,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# The exceptions of Hydra and OmegaConf for an invalid config; values that do not merge raise the last three.
+# The exceptions that Hydra and OmegaConf raise for an invalid config; the last three are for values that do not merge.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -153,7 +153,7 @@ class Repository(CachingConfigRepository):
                     key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
                     expected = "one '# @package some.path' as the first line of the file"
                     raise ConfigError(
-                        "this package line of the file has no effect", key=key, where=where, expected=expected
+                        "this '# @package' directive has no effect", key=key, where=where, expected=expected
                     )
                 content = OmegaConf.to_container(result.config, resolve=False)
                 # Copy each file's content, because Hydra changes the config objects while it composes the config.
@@ -240,7 +240,7 @@ class Loader(ConfigLoaderImpl):
         path = create_config_search_path(str(configs_dir()))
         schema = path.get_path().pop()
         for folder in map(config_folder, config_dirs):
-            join_folder(folder)  # Configs can name the packages that the folder's project declares.
+            join_folder(folder)  # Allow the Python packages that the user project of this folder declares.
             path.append("config-dir", f"file://{folder}")
         path.append(schema.provider, schema.path)
         super().__init__(path)
@@ -294,34 +294,34 @@ _ALWAYS = {"task": "_global_"}
 
 
 def package_header(file: Path) -> str | None:
-    """Return the package (mount key) in the ``# @package`` line at the top of a file; None without this line."""
+    """Return the config key in the ``# @package`` line at the top of a file; None without this line."""
     match = _HEADER.match(next((line for line in _lines_of(file) if line.strip()), ""))
     return match.group(1) if match else None
 
 
 def package_meant(file: Path) -> str | None:
-    """Return the package (mount key) in a file's ``# @package`` line, even if Hydra ignores the line; else None."""
+    """Return the config key in a file's ``# @package`` line, even if Hydra ignores the line; else None."""
     match = _MEANT.search("\n".join(_lines_of(file)))
     return match.group(1) if match else None
 
 
 def usual_header(repository: Repository, group: str, without: Path | None = None) -> str | None:
-    """Return the package (mount key) that at least half of a group's files have in a ``# @package`` line; else None."""
+    """Return the config key that at least half of a group's files have in a ``# @package`` line; else None."""
     if group in _ALWAYS:
         return _ALWAYS[group]
     folders = [Path(s.path) / group for s in repository.get_sources() if s.scheme() == "file"]
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # Half of a group's files is enough, because the checked file without a package line counts too.
+    # Require only half of the files, because the file that is checked for a missing package line counts too.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 
 def missing_headers(repository: Repository, explicit: Collection[str]) -> list[ConfigError]:
-    """Find loaded files whose ``# @package`` line is misspelled, or missing although their group usually has one.
+    """Find config files whose ``# @package`` line is misspelled, or missing although most files of the group have one.
 
-    ``explicit`` contains the config groups that a defaults list or an override mounts at an explicit key. A config file
-    of a group in ``explicit`` needs no ``# @package`` line.
+    A file needs no ``# @package`` line if its config group is selected with a key, as in ``reward@env.rewards``.
+    ``explicit`` contains the names of the config groups that are selected with a key.
     """
     misspelled, missing = [], []
     for config_path, loaded in repository.loaded.items():

@@ -28,7 +28,7 @@ _IN_FILE = re.compile(r"^In '?([^':]+)'?:")
 
 
 class NowhereMounted(ConfigError):
-    """A defaults list overrides a config group that no config file mounts."""
+    """A defaults list has an ``override`` entry for a config group from which no config file selects an option."""
 
 
 def where_of(override: Override) -> str:
@@ -166,7 +166,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # Search the loaded files in order, without the primary config, because overrides can replace its selections.
+    # Find the file that already selects an option of the group; skip the primary config, which overrides can change.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"
@@ -204,7 +204,7 @@ class DoesNotMerge(ConfigError):
 def translate(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
     """Convert an exception of Hydra or OmegaConf to a ConfigError.
 
-    ``loader`` has composed the config. ``overrides`` contains the overrides as the user typed them.
+    ``loader`` is the loader that raised the exception. ``overrides`` contains the overrides as the user typed them.
     """
     spaced = _spaced(overrides)
     if spaced is not None:

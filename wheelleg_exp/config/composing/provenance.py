@@ -1,7 +1,7 @@
 """Find the file or override that set each value and selected each config group of a composed config.
 
-The source of a config value is a file and line, or an override. A source of a config value lists the value's earlier,
-replaced sources.
+The source of a config value is a file and line, or an override. The class ``Source`` also lists the earlier files and
+overrides whose values were replaced.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ MISSING = "???"
 
 @dataclass(frozen=True)
 class Source:
-    """The source of one leaf: a line of a file, or an override.
+    """The source of one config value: a line of a file, or an override.
 
-    ``value`` is the config value with unresolved ``${...}``. ``package`` contains the config keys below which the
-    source's file is mounted. ``shadowed`` lists the replaced earlier sources of the config value, oldest first.
+    ``value`` is the config value with unresolved ``${...}``. ``package`` is the key of the config section into which
+    Hydra puts the content of ``file``. ``shadowed`` lists earlier, replaced sources of the value, oldest first.
     """
 
     path: str
@@ -49,7 +49,7 @@ class Source:
 class Provenance(Mapping[str, Source]):
     """The last source (file and line, or override) of each value of a config, by dotted path.
 
-    ``deleted`` contains the sources of the config values that overrides removed.
+    ``deleted`` maps the key of each config value that an override removed to a source that names the override.
     """
 
     def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
@@ -72,20 +72,20 @@ class Provenance(Mapping[str, Source]):
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return the sources of the config values at or below ``path`` that overrides removed."""
+        """Return a source for each config value at or below ``path`` that an override removed."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set the config key ``path``.
 
-        For a config section, return the place of the section's first value. For a missing config key, return the place
-        of the nearest parent key.
+        For a config section, return the file and line or override of the section's first value. For a missing config
+        key, return the file and line or override of the nearest existing parent section.
         """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Stop before a top-level key, because many files set its values and their first place does not help users.
+        # Do not search a whole top-level section, because the file of the section's first value does not help users.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # Move a section's remaining values next to the section's first value, and keep their order.
+            # Make all values of the deleted key's parent section adjacent, without a change of their order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put a value at the position of the first value that it replaces, because the order of terms has an effect."""
+        """Put a value's source at the position of the first source that it replaces, to keep the order of terms."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -143,15 +143,15 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # An empty config mapping to which a key is added does not count as replaced.
+    # An empty mapping is not a replaced value, because later config files only add keys to the mapping.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
 
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
-    """Return the source of each config value; to find it, the files and overrides of the last ``load`` are replayed.
+    """Return the source of each config value, found by applying the config files and overrides one by one.
 
-    ``primary`` is the primary config, and ``parsed`` contains the overrides, of the loader's last ``load``.
+    ``loader`` must have composed the config from the primary config ``primary`` and the overrides ``parsed``.
     """
     replay = _Replay()
     with hydra_globals():
@@ -205,7 +205,7 @@ def _with_element(node: Any, keys: Keys, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Choice:
-    """The options of a config group that a file's defaults list or an override selects; ``where`` is the place."""
+    """A selection of options of a config group; ``where`` is the override, or the file and line, with the selection."""
 
     value: Any
     where: str
@@ -213,12 +213,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Mount:
-    """A config group that is mounted at one key of the tree.
+    """A config group whose selected options Hydra puts below one key of the config tree.
 
     ``name`` is the name of the config group in an override, such as ``reward@env.rewards``. ``package`` is the config
     key below which the group's options are; an empty key means the top of the config. ``choices`` lists all selections
-    of the group's options, in the order in which Hydra applies the selections. Each selection of options replaces all
-    earlier selections, except an override with ``+``, which adds an option.
+    of options from the config group, in the order in which Hydra applies them. A selection replaces all earlier
+    selections of options; only an override with ``+`` adds an option to them.
     """
 
     name: str
@@ -235,14 +235,14 @@ class Mount:
 
 
 def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
-    """Return the mounted config groups of a composed config, without Hydra's own config groups."""
+    """Return the config groups from which a composed config selects options, except Hydra's own config groups."""
     with hydra_globals():
         return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader, parsed).items()]
 
 
 def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
-    # Skip an option whose parent is in the same group, because only one task is selected if a task extends a task.
+    # If a task extends a second task, Hydra merges the files of both tasks, but only the first task was selected.
     mine = [d for d in loader.merged if _group_of(d.config_path) == group and _group_of(d.parent) != group]
     if package:
         mine = [d for d in mine if d.package == package]
@@ -257,7 +257,7 @@ def _group_of(config_path: str | None) -> str:
 
 
 def _choices_by_mount(loader: Loader, parsed: Sequence[Override]) -> dict[str, list[Choice]]:
-    """Return the selections of each mounted group: plain entries of files, ``override`` entries, then overrides."""
+    """Return the selections of each config group: plain entries of files, ``override`` entries, then overrides."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
     loaded = loader.repository_used.loaded
@@ -282,12 +282,12 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the mounted group whose key ``package`` contains the config key ``keys``; the longest one has priority."""
+    """Return the config group whose options are at or above the key ``keys``; of several groups, the deepest one."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 
 
 def option_of(mount: Mount, keys: Keys) -> str | None:
-    """Return the option of the config group ``mount`` with the term at ``keys``; None if ``keys`` is outside a term."""
+    """Return the option of the config group ``mount`` whose term contains the key ``keys``; None outside terms."""
     depth = len(split_path(mount.package))
     return dotted(keys[depth : depth + 1]) if mount.several and len(keys) > depth else None

@@ -109,7 +109,7 @@ def _listed(option: Any) -> list[Any]:
 
 
 def siblings(target: str) -> list[str]:
-    """Return the public functions and classes in the module of a target."""
+    """Return the public functions and classes in the module of a dotted ``_target_`` path."""
     module_name = target.rpartition(".")[0]
     try:
         with importing(module_name):
@@ -134,7 +134,7 @@ _MOST_VIEWS = 32  # The largest number of cached composed configs.
 class CompletionView:
     """The parts of a composed config that shell completion needs.
 
-    ``mounts`` maps the name of each mounted config group to whether the group takes a list of options.
+    ``mounts`` maps each config group in use, such as ``reward@env.rewards``, to True if it accepts a list of options.
     """
 
     tree: dict[str, Any]
@@ -145,8 +145,8 @@ class CompletionView:
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
     """Return the parts of a composed config that shell completion needs, from the cache if possible.
 
-    If Hydra rejects the overrides, compose with only the override ``task=…``, or otherwise without overrides. None: not
-    even the primary config composes.
+    If Hydra rejects the overrides, compose with only the override ``task=…``, or otherwise without overrides. Return
+    None if Hydra cannot compose the primary config even without overrides.
     """
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     stats = {str(path): path.stat() for folder in folders for path in sorted(folder.rglob("*.yaml"))}
@@ -155,7 +155,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    from wheelleg_exp.config.composing.compose import compose  # Import Hydra only if no answer is cached.
+    from wheelleg_exp.config.composing.compose import compose  # Import Hydra only if the cache lacks the config.
 
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
@@ -223,7 +223,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the completed config keys of one level, such as ``env.`` or ``run.seed=``; ``removable`` adds ``env``."""
+    """Return the keys that complete ``text``, such as ``env.`` or ``seed=``; with ``removable``, also ``env``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []
@@ -236,7 +236,7 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
 
 
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
-    """Return the valid values of a config key that are known without an import of a term."""
+    """Return the valid values of a config key, as far as these are known without importing the code of a term."""
     now = at(tree, path)
     inside_target = any(TARGET in section_at(tree, path[:n]) for n in range(1, len(path)))
     slot = None if inside_target or path[:1] == ("agent",) else key_slots.slot(tree, path)

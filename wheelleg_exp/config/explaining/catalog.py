@@ -23,7 +23,7 @@ from wheelleg_exp.terms.config_values import constraints_in, describe
 from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
 
-# The config section of the terms in each module of the library.
+# For each module of wheelleg_exp.mdp, the config section to which the module's terms belong.
 MODULES = {
     "actions": "actions",
     "commands": "commands",
@@ -52,7 +52,7 @@ class LibraryTerm:
 
 
 def library() -> list[LibraryTerm]:
-    """Return the library's public terms, section by section."""
+    """Return the public terms of the package ``wheelleg_exp.mdp``, section by section."""
     return [term for name, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{name}"))]
 
 
@@ -84,7 +84,7 @@ def is_term(section: str, found: Any) -> bool:
 
 
 def limits_of(target: Any) -> dict[str, str]:
-    """Return the types and bounds of a target's bounded parameters as text."""
+    """Return the types and bounds of the bounded parameters of a class or function as text."""
     hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
     return {
         name: describe(hint)
@@ -94,7 +94,7 @@ def limits_of(target: Any) -> dict[str, str]:
 
 
 def signature_of(target: Any) -> str:
-    """Return the parameters of a target that a config can set, as ``name, name=default``."""
+    """Return the parameters of a class or function that a config can set, as ``name, name=default``."""
     parts = []
     for name, parameter in signature_parameters(target).items():
         default = parameter.default
@@ -111,8 +111,8 @@ TASK_GROUP = "task"
 class Entry:
     """One option of a config group.
 
-    ``help`` describes the option in one line, or is empty if the option's file has no comment. ``target`` is None for
-    an option that is not a term.
+    ``help`` describes the config group's option in one line; it is empty if the option's file has no comment.
+    ``target`` is the ``_target_`` of the term in the option's file, or None if the file contains no term.
     """
 
     group: str
@@ -142,7 +142,7 @@ def options(group: str, config_dirs: Sequence[Path] = ()) -> list[Entry]:
 
 
 def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the terms of one or all config groups, each described by the docstring of its target."""
+    """Return the terms of one or all config groups, each described by the docstring of its class or function."""
     with hydra_globals():
         loader = Loader(config_dirs)
         names = loader.groups()
@@ -158,7 +158,7 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
 
 def _require_group(group: str, names: Sequence[str]) -> None:
     if group not in names:
-        raise not_one_of("there is no config group with this name", group, names, key=group)
+        raise not_one_of("the given name is not the name of a config group", group, names, key=group)
 
 
 def _entry(loader: Loader, group: str, name: str) -> Entry:
@@ -167,13 +167,13 @@ def _entry(loader: Loader, group: str, name: str) -> Entry:
     found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
     try:
         file = chosen_file(config_path, found)
-    except ConfigError:  # Hydra reports the wrong file when it composes the config.
+    except ConfigError:  # Hydra reports an invalid config file when it composes the config.
         file = found[0]
     except IndexError:
         file = Path(f"{config_path}.yaml")
     try:
         text = file_text(file)
-    except (OSError, UnicodeDecodeError):  # Hydra reports the wrong file when it composes the config.
+    except (OSError, UnicodeDecodeError):  # Hydra reports an invalid config file when it composes the config.
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
 
@@ -183,7 +183,7 @@ def _target(text: str, name: str) -> str | None:
     try:
         yaml_tree(text)
         content: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except Exception:  # Hydra reports the wrong file when it composes the config.
+    except Exception:  # Hydra reports an invalid config file when it composes the config.
         return None
     nodes = content if isinstance(content, dict) else {}
     node = nodes.get(name) or (next(iter(nodes.values())) if len(nodes) == 1 else None)

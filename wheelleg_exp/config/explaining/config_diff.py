@@ -92,7 +92,7 @@ class Side:
 class PlacedChange:
     """One difference between two configs, with the file and line or override of both values.
 
-    ``is_term`` is true if the difference is a whole term or the order of terms. ``note`` is the effect.
+    ``is_term`` is true if a whole term or the order of terms differs. ``note`` describes the effect of the difference.
     """
 
     kind: Kind
@@ -140,7 +140,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # The section is None for a config node without terms.
+    section = key_slots.section_of((*keys, "any"))  # The section name is None for a config node without terms.
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)

@@ -112,8 +112,7 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 def comment_at(file: Path, line: int) -> str:
     """Return the comment on a line of a YAML file, or the equally indented comment directly above this line.
 
-    The comment at the top of a YAML file describes the whole file. The comment at the top of a YAML file describes a
-    key only if the file has exactly one key.
+    A comment at the top of a YAML file describes the whole file; it describes a key only if the file has one key.
     """
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):
@@ -182,7 +181,7 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# The words that can follow a unit at the start of a line; otherwise, "N environments" would mean newtons.
+# A unit at the start of a line needs one of these words after it, so that "N environments" does not mean newtons.
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
@@ -210,7 +209,7 @@ def headline(target: Any) -> str:
 
 
 def parameter_lines(target: Callable[..., Any]) -> dict[str, str]:
-    """Return the description of each parameter in a target's docstring and in the docstrings of its base classes."""
+    """Return the description of each parameter in the docstrings of a function, or of a class and its base classes."""
     if not inspect.isclass(target):
         return parameters_in(inspect.getdoc(target) or "")
     found: dict[str, str] = {}

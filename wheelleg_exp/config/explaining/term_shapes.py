@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 class TermShape:
     """One term of an observation group, or one action term.
 
-    ``width`` is the number of components that the term has in one control step. ``history`` is the number of stored
-    control steps of the term; 0 means only the present control step. ``start`` and ``stop`` are the term's indices in
-    the joined observation or action vector; None if they are not contiguous. ``joints`` contains the joints that an
-    action term drives, in the order of the term's components.
+    ``width`` is the number of components of the observation or action in one control step. ``history`` is the number of
+    control steps that an observation term stores; 0 means only the present control step. ``start`` and ``stop`` are the
+    term's indices in the joined observation or action vector; None if they are not contiguous. ``joints`` contains the
+    joints that an action term drives, in the order of the term's components.
     """
 
     name: str

@@ -1,3 +1,3 @@
-"""The part of ``isaaclab.utils`` that terms import: ``configclass``, mathematics, and functions that match names."""
+"""Provide the parts of ``isaaclab.utils`` that terms import, such as ``configclass`` and mathematical functions."""
 
 from wheelleg_exp.isaaclab.utils.configclass import configclass

@@ -16,7 +16,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 wrap_to_pi = rotation.wrap_to_pi
-SMALL = 1e-6  # rad; angles below this value use sin(x) = x
+SMALL = 1e-6  # For angles x below 1e-6 rad, the functions use sin(x) = x.
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -91,7 +91,7 @@ def axis_angle_from_quat(quat: torch.Tensor, eps: float = SMALL) -> torch.Tensor
     quat = quat_unique(quat)
     sine = torch.linalg.vector_norm(quat[..., 1:], dim=-1, keepdim=True)
     angle = 2.0 * torch.atan2(sine, quat[..., :1])
-    # for small angles, sin(a / 2) / a = 1/2 - a^2 / 48 + ...
+    # For small angles a, sin(a / 2) / a is approximately 1/2 - a^2 / 48.
     per_angle = torch.where(angle > eps, sine / angle.clamp(min=eps), 0.5 - angle.square() / 48.0)
     return quat[..., 1:] / per_angle
 
@@ -119,7 +119,7 @@ def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
     cosine = (q1 * q2).sum()
     q2, cosine = torch.where(cosine < 0.0, -q2, q2), cosine.abs().clamp(max=1.0)
     angle = torch.acos(cosine)
-    line = normalize(torch.lerp(q1, q2, tau))  # linear interpolation is accurate for small angles
+    line = normalize(torch.lerp(q1, q2, tau))  # Linear interpolation of quaternions is accurate for small angles.
     arc = (torch.sin((1.0 - tau) * angle) * q1 + torch.sin(tau * angle) * q2) / torch.sin(angle).clamp(min=1e-12)
     return torch.where(angle < 1e-4, line, arc)
 
@@ -161,8 +161,8 @@ def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    # Each row of the matrix 4 q q^T is the quaternion times a number, four times one component.
-    # Taking the matrix row of the largest component avoids a division by a small number.
+    # Each row of the matrix 4 q q^T is a multiple of the quaternion q.
+    # Select the row of 4 q q^T with the largest norm, because normalising a short row is inaccurate.
     w_row, x_row = (1.0 + xx + yy + zz, x, y, z), (x, 1.0 + xx - yy - zz, xy, xz)
     y_row, z_row = (y, xy, 1.0 - xx + yy - zz, yz), (z, xz, yz, 1.0 - xx - yy + zz)
     rows = torch.stack([torch.stack(row, dim=-1) for row in (w_row, x_row, y_row, z_row)], dim=-2)

@@ -22,7 +22,7 @@ from wheelleg_exp.sim.timers import forget
 class Axis:
     """One component of a command term, such as a speed, with the component's range [low, high] in its unit."""
 
-    name: str  # the component's name, after the term's name if several command terms have this component
+    name: str  # The name of an axis is lin_vel_x, for example, or <term>.lin_vel_x if several terms have lin_vel_x.
     term: str
     component: str
     low: float
@@ -30,22 +30,22 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The config key that sets the command range of the axis."""
+        """The config key of a command axis's range, such as ``env.commands.<term>.ranges.lin_vel_x``."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
     def rest(self) -> float:
-        """The value without input: 0, or the middle of a range without 0."""
+        """The command without user input: 0, or the middle of a command range that does not contain 0."""
         return 0.0 if self.low <= 0.0 <= self.high else 0.5 * (self.low + self.high)
 
     def at(self, share: float) -> float:
-        """Return the value at a share of the way from rest to an end: 1 is ``high``, -1 is ``low``."""
+        """Return the command at a share of the way from the rest value to ``high`` (share 1) or ``low`` (share -1)."""
         share = min(max(share, -1.0), 1.0)
         end = self.high if share > 0.0 else self.low
         return self.rest + abs(share) * (end - self.rest)
 
     def bounded(self, value: float) -> float:
-        """Return ``value``, clamped to the command range of the axis."""
+        """Return ``value``, clamped to the command range from ``low`` to ``high``."""
         return min(max(value, self.low), self.high)
 
 
@@ -64,7 +64,7 @@ def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
 class CommandHold:
     """Keeps an environment's commands at given values, even when the environment resets or resamples its commands.
 
-    The class reduces each command range to a single value, so that each sampled command has this value.
+    ``CommandHold`` shrinks each command range to a single value, so that resampling a command gives this value.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
@@ -98,10 +98,10 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """A request to drive with a new checkpoint or ground (a ``scene`` option or ``own``); None keeps the old one."""
+    """A request to change the driving policy or the ground; None keeps the current checkpoint or the current ground."""
 
     checkpoint: Path | None = None
-    scene: str | None = None
+    scene: str | None = None  # The ground is an option of the config group ``scene``, or ``own`` (as in training).
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Controls:
                 self._values[name] = self.axes[name].bounded(value)
 
     def steer(self, name: str, share: float) -> None:
-        """Set a command as a share of its range: -1 (low), 0 (rest), 1 (high), as sticks and keys do."""
+        """Set a command as a share of its range, as gamepad sticks and keys do: -1 (low), 0 (rest), or 1 (high)."""
         if name in self.axes:
             self.set(name, self.axes[name].at(share))
 

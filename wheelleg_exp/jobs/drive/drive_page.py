@@ -119,7 +119,7 @@ KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop"
 # Axis 2 of a standard gamepad is 1 if the right stick points to the right.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
 _BUTTONS = {0: "push", 1: "reset", 2: "slow", 9: "pause"}
-_DEADZONE = 0.12  # Gamepad stick values below this limit are ignored, because an untouched stick is not exactly at 0.
+_DEADZONE = 0.12  # Gamepad stick values below 0.12 are ignored, because an untouched stick is not exactly at 0.
 SLOW = 0.25  # The number of simulated seconds that slow motion shows in one second of real time.
 _MAX_MESSAGE = 1024  # bytes of a message
 
@@ -141,7 +141,7 @@ class InputServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self) -> str:
-        """Return the JavaScript that sends key and gamepad input from the web page to the key server."""
+        """Return the JavaScript that sends key and gamepad input from the web page to the ``InputServer``."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
@@ -209,7 +209,7 @@ class DrivePage:
     """A context manager that serves a web page on which a user drives the robot, to browsers on this machine."""
 
     def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
-        # Return mjviser's scene class and a viser server class that opens no tunnels to other machines.
+        # Import the optional packages viser and mjviser only when a web page is requested.
         try:
             import viser
             from mjviser import ViserMujocoScene
@@ -261,13 +261,13 @@ class DrivePage:
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show the robot, the ground, and the controls on the web page, and return the page's URL."""
+        """Show the driven robot, its ground, and sliders for commands on a web page, and return the page's URL."""
         self._session, self._hands.push = session, push
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
         self._server.gui.reset()
-        model = copy.copy(session.env.scene.sim.model)  # mjviser changes the colours of a copied model.
+        model = copy.copy(session.env.scene.sim.model)  # Copy the model, because mjviser changes the model's colours.
         self._scene = self._scene_class(self._server, model, num_envs=1)
         away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
         self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
@@ -295,7 +295,7 @@ class DrivePage:
             finish = gui.add_button("Finish", hint="end the drive and write its figures")
             finish.on_click(lambda _: controls.request(Finish()))
         gui.add_html(KEYS_HELP)
-        # Run the JavaScript in every browser page, open now or opened later, as viser does for its plots.
+        # Run the JavaScript for keys and gamepads in every browser page, including pages that are opened later.
         source = self._hands.javascript()
         from viser._messages import RunJavascriptMessage
 
@@ -312,7 +312,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # A key or the drive script changed the command.
+                if self._mirrored.get(name) != value:  # A keyboard key or a drive script changed this axis's command.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
@@ -330,7 +330,7 @@ class DrivePage:
 
         @slider.on_update
         def _(event: Any) -> None:
-            if event.client is not None:  # The user moved the slider, not the method ``show``.
+            if event.client is not None:  # The user, not this program, moved a command's slider on the web page.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 

@@ -32,12 +32,12 @@ class Entry:
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False  # whether every command axis that ``values`` does not name gets its rest value
+    stops: bool = False  # If true, each command that ``values`` lacks becomes 0, or the middle of a range without 0.
 
 
 @dataclass(frozen=True)
 class Script:
-    """A drive: entries in order of time, and the text of the file."""
+    """A drive script: its entries in order of time, its duration, and the text of its YAML file."""
 
     entries: list[Entry]
     duration_s: float
@@ -50,7 +50,7 @@ class ScriptPlayer:
     def __init__(self, script: Script, controls: Controls, step_dt: float) -> None:
         self._script, self._controls = script, controls
         # A drive script's entry applies from the first control step at or after the entry's time.
-        # The entry's time is rounded, so that a floating-point error does not delay the entry by one control step.
+        # Round ``at / step_dt``, so that a floating-point error does not delay a script entry by one control step.
         self._steps = [math.ceil(round(entry.at / step_dt, 6)) for entry in script.entries]
         self.last_step = math.ceil(round(script.duration_s / step_dt, 6))
         self._next = 0
@@ -69,13 +69,13 @@ class ScriptPlayer:
 
 
 def read_script(path: Path, axes: Sequence[Axis]) -> Script:
-    """Read a drive script. For an unknown key or an out-of-range value, ConfigError names the line."""
+    """Read a drive script. For an unknown key or an out-of-range value, ConfigError names the line of the script."""
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
     except Unreadable as error:
         line = "" if error.line is None else f":{error.line}"
-        raise ConfigError(f"the script is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
+        raise ConfigError(f"the file is not YAML: {error.problem}", key="--script", where=f"{path}{line}") from error
     if not isinstance(value, list) or not value or not isinstance(tree, yaml.SequenceNode):
         message = "the script is not a list of commands"
         raise ConfigError(message, key="--script", where=str(path), expected=_example(axes))
@@ -107,7 +107,7 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Return a drive script's entry and its end time, s; the previous entry runs from ``before`` to ``end``."""
+    """Return an entry of a drive script, and the time at which this entry ends; the previous entry ends at ``end``."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
@@ -128,7 +128,7 @@ def _entry(
 def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:
     value = item.get(key, default)
     if not _is_number(value) or value < 0.0:
-        raise ConfigError(f"{value!r} is not a time in seconds", key=key, where=place.of(key), expected="at least 0")
+        raise ConfigError(f"the time in seconds is {value!r}", key=key, where=place.of(key), expected="at least 0")
     return float(value)
 
 
@@ -157,7 +157,7 @@ def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
 def _flag(item: Mapping[Any, Any], key: str, place: _Place) -> bool:
     value = item.get(key, False)
     if not isinstance(value, bool):
-        raise ConfigError(f"{value!r} is neither true nor false", key=key, where=place.of(key), expected="true")
+        raise ConfigError(f"the value {value!r} is not true or false", key=key, where=place.of(key), expected="true")
     return value
 
 

@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-# Each function measures the value of a command axis, such as a speed, on the robot that the user drives.
+# Each function in ``_MEASURES`` returns the measured value of a command component, such as the forward speed.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
     "lin_vel_x": lambda data: data.root_lin_vel_b[:, 0],
     "lin_vel_y": lambda data: data.root_lin_vel_b[:, 1],
@@ -64,7 +64,7 @@ class DriveMeter:
             self._squares[name] += (value - commanded[name]) ** 2
 
     def ended(self, by: str) -> None:
-        """Count an episode that the termination term with the name ``by`` ended."""
+        """Count an episode that was ended by the termination term ``by``."""
         self._ended[by] += 1
 
     def asked(self, request: Reset | Push) -> None:
@@ -72,7 +72,7 @@ class DriveMeter:
         self._requests[type(request).__name__] += 1
 
     def began(self) -> None:
-        """Note a reset: the jump to the new position does not count as distance."""
+        """Record a reset, so that the robot's jump to its start position does not count as travelled distance."""
         self._place = None
 
     def figures(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return height and measured values. Call once per control step: the height above ground needs ray casts."""
+        """Return the robot's height and measured commands; call once per step, because the height needs ray casts."""
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])
@@ -111,13 +111,13 @@ class Status:
     commands: dict[str, float]
     measured: dict[str, float]
     height_m: float
-    rewards: dict[str, float] = field(default_factory=dict)  # the weighted reward per second, by reward term
+    rewards: dict[str, float] = field(default_factory=dict)  # the weighted reward per second of each reward term
     falls: int = 0
     fallen: str | None = None  # how the episode ended, or None while the episode runs
 
 
 class DriveSession:
-    """A drive of one robot. Nothing is reset automatically: an episode that has ended waits for a reset.
+    """One robot that a user drives. After the end of an episode, the simulation waits for a call of ``reset``.
 
     ``driven`` is the log of the user's commands and requests. ``fallen`` describes how the episode ended, and is None
     while the episode runs.
@@ -125,9 +125,7 @@ class DriveSession:
 
     def __init__(self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor]) -> None:
         if adapter.num_envs != 1:
-            raise ConfigError(
-                f"a drive needs one robot, not {adapter.num_envs} robots", key="env.num_envs", expected="1"
-            )
+            raise ConfigError(f"a user can drive one robot, not {adapter.num_envs}", key="env.num_envs", expected="1")
         self._adapter, self._policy = adapter, policy
         self.env: ManagerBasedRLEnv = adapter.env
         self.env.autoreset = "disabled"

@@ -31,22 +31,22 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as
 
-OWN_GROUND = "own"  # the ground of the training
+OWN_GROUND = "own"  # The name ``own`` selects the ground on which the policy was trained.
 _GROUP = "scene"
 _DISTURBANCES = ("interval", "step")  # The modes of event terms that act during an episode, such as pushes.
 
 
 def scenes() -> list[str]:
-    """Return the grounds that can be chosen: the run's own, and the options of the config group ``scene``."""
+    """Return the names of all grounds, which are ``own`` (as in training) and the options of the group ``scene``."""
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
-    The config for a drive has one robot, episodes of ``drive.episode_length_s``, and no curriculum. Events, such as
-    pushes, happen only at startup and reset. In a drive, the command terms use no heading control and no standing
-    robots. ``scene`` names the scene config with the ground of the drive; ``own`` selects the ground of the training.
+    The returned config has one robot, episodes of ``drive.episode_length_s`` seconds, and no curriculum. Events, such
+    as pushes, happen only at startup and reset. Command terms use no heading control, and no random zero commands.
+    ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -60,7 +60,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
         # Replace the ground of the run's scene by the ground of the chosen scene.
-        # A sensor that exists in both scenes gets its settings from the chosen scene.
+        # If the run's scene and the chosen scene have the same sensor, the chosen scene sets the sensor's options.
         own = env["scene"]
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
@@ -69,7 +69,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     return tree
 
 
-_MAX_DELAY_S = 0.1  # The pacer does not make up for delays above this limit, so a slow machine shows slow motion.
+_MAX_DELAY_S = 0.1  # ``RealTimePacer`` ignores delays above 0.1 s, so that a slow machine shows slow motion.
 
 
 class RealTimePacer:
@@ -94,7 +94,7 @@ class RealTimePacer:
             self._sleep(left)
 
     def is_frame_due(self) -> bool:
-        """Return whether the view must show a new picture now; if true, schedule the picture after it."""
+        """Return whether the next picture of the robot is due; if true, schedule the following picture."""
         now = self._clock()
         if now < self._next_frame:
             return False
@@ -108,7 +108,7 @@ class DriveView(Protocol):
     """A view that shows the driven robot to the user, and receives the user's requests."""
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show the robot on the chosen ground; return the view's address; ``push`` is the speed of a push, m/s."""
+        """Show a session's robot to the user, and return the URL; ``push`` is the speed that a push adds, m/s."""
 
     def show(self, status: Status) -> None:
         """Show the state of the driven robot."""
@@ -116,7 +116,7 @@ class DriveView(Protocol):
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of a drive by a user; ``definitions.drive`` explains the metrics in ``figures``."""
+    """The files and metrics of a robot that a user drove; ``definitions.drive`` explains the metrics in ``figures``."""
 
     checkpoint: Path
     folder: Path
@@ -126,7 +126,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveRequest:
-    """A request to drive with a policy (by default the run's last) on a ground (by default the training's)."""
+    """A request to drive a robot with a run's checkpoint (default: the last) on a ground (default: the training's)."""
 
     run: RunDirectory
     checkpoint: Path | None = None
@@ -139,8 +139,8 @@ class DriveRequest:
 def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
     """Drive the robot until the user finishes. A new drive starts if the user chooses a new checkpoint or ground.
 
-    Without ``view``, a drive script is required, and the simulation runs faster than real time. With ``view``, the
-    drive script runs first, in real time, and then the user takes over.
+    Without ``view``, a drive script is required, and the simulation runs as fast as possible. With ``view``, the
+    drive script runs first, in real time, and then the user takes control.
     """
     drives: list[Drive] = []
     choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
@@ -156,7 +156,7 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 def _drive_one(
     request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
-    """Simulate one drive; return its result, and the checkpoint and ground that the user chose next, or None."""
+    """Simulate a driven robot; return its metrics, and a user's choice of a new checkpoint or ground, or None."""
     scene = pick.scene or OWN_GROUND
     # If the name of the scene is unknown, raise ConfigError.
     known = scenes()
@@ -194,7 +194,7 @@ def _drive_one(
 
 
 class _Driver:
-    """Simulates a drive until its script ends, the user stops, or the user chooses a new checkpoint or ground."""
+    """Simulates a driven robot until a script ends, the user stops, or the user chooses a new checkpoint or ground."""
 
     def __init__(
         self,
@@ -216,7 +216,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Run the drive; return the checkpoint and ground that the user chose next, or None if the user stopped."""
+        """Simulate the driven robot; return a user's choice of a new checkpoint or ground; None if the user stopped."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):

@@ -1,6 +1,6 @@
 """Record episodes in the training's simulation, and compare each policy file of a bundle with the recorded actions.
 
-The compared actions are computed from recorded observations, because a closed loop would amplify rounding errors.
+Each policy file computes actions from recorded observations, because a closed loop would amplify rounding errors.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def recorded_episodes(
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
     """Return joint targets (N, 3, J) of the first physics step after ``actions``; reset the action manager's state."""
-    # Clip the target positions to the joint limits, as the bundle's runner does, but not the training.
+    # The training does not clip joint targets, but the exported ``runner.py`` clips them to the joint limits.
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
     manager.process_action(actions)
@@ -80,7 +80,7 @@ def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
     return found
 
 
-# Tolerances relative to max(1, |recorded value|); sums in float32 need a larger tolerance than sums in float64.
+# A tolerance limits |value - recorded| / max(1, |recorded|); float32 needs a larger tolerance than float64.
 TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
 _FLOAT64 = ("observations", "actions", "targets", "c_double")
 _COMPILERS = ("cc", "gcc", "clang")
@@ -114,10 +114,10 @@ int main(void) {
 
 
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
-    """Return each policy file's largest difference from ``check.npz``, and a note if the C header was not compared.
+    """Return how much each policy file's outputs differ from ``check.npz``, and a note if the C header was skipped.
 
-    ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``. A
-    policy file whose difference exceeds its tolerance raises SimulationFailure.
+    ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``.
+    SimulationFailure means that outputs of a policy file differ from ``check.npz`` by more than the tolerance.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
     recorded = dict(np.load(folder / "check.npz"))

@@ -175,7 +175,7 @@ def _law(term: Mapping[str, Any], index: int) -> str:
 
 
 def _trained_with(spec: Mapping[str, Any]) -> list[str]:
-    """Return lines about the observation noise and delays of the training, which the bundle's runner leaves out."""
+    """Return lines about the observation noise and delays of the training, which the exported ``runner.py`` omits."""
     terms = [(f"observation `{term['name']}`", term) for group in spec["observations"] for term in group["terms"]]
     terms += [(f"action `{term['name']}`", term) for term in spec["actions"]]
     terms += [(f"drive `{drive['name']}`", drive) for drive in spec["actuators"]]

@@ -1,7 +1,7 @@
 """Describe a policy in ``policy.json``: everything between sensor readings and joint targets, as numbers.
 
-``policy.json`` describes the action terms of a policy, the drive of each joint, and the policy's network. A term or
-network that the bundle's runner cannot compute raises a ``ConfigError`` with its name.
+``policy.json`` describes the action terms of a policy, the drive of each joint, and the policy's network. If the
+exported ``runner.py`` cannot compute a term or a network, ConfigError names this term or network.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
-    """Return an actuator group's control law (from joint targets to torques); None if no runner supports this law."""
+    """Return an actuator group's control law (from joint targets to torques); None if the export lacks this law."""
     return _DRIVE_LAWS.get(type(group))
 
 
@@ -77,7 +77,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # the inertia about each joint's axis, all joints free
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # the inertia about a joint axis while all joints move
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
     found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
@@ -105,7 +105,7 @@ def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
         ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
         place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
         spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
-        # The bundle's runner adds no delay, because a real robot has a delay between policy and drives.
+        # The exported ``runner.py`` adds no action delay, because a real robot has its own delay.
         found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
         start += width
     return found
@@ -150,7 +150,7 @@ _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
 
 _ACTIVATIONS: dict[type, str] = {
     torch.nn.ELU: "elu",
-    torch.nn.CELU: "elu",  # rsl_rl uses an alpha of 1
+    torch.nn.CELU: "elu",  # CELU equals ELU, because rsl_rl sets CELU's parameter alpha to 1.
     torch.nn.ReLU: "relu",
     torch.nn.LeakyReLU: "leaky_relu",
     torch.nn.SELU: "selu",

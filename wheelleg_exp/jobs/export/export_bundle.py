@@ -1,8 +1,8 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
-A bundle is written atomically, after its policy files were compared with the training's simulation. The exported
-environment has no noise, delays, or events, because a real robot has noise, delays, and disturbances. The metadata of
-``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
+The folder is written atomically, after each exported policy file has computed the same actions as the simulation. The
+exported environment has no noise, delays, or events, because a real robot has noise, delays, and disturbances. The
+metadata of ``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
 """
 
 from __future__ import annotations
@@ -70,10 +70,10 @@ def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
-    """Return the ``env`` config with which a bundle's runner can reproduce episodes from their sensor readings.
+    """Return the ``env`` config of episodes that the exported ``runner.py`` can reproduce from sensor readings.
 
     The returned config has no noise, delays, encoder errors, pushes, and randomization of the robot. Wheel joints are
-    reset to their default positions, because a runner measures wheel positions from the reset.
+    reset to their default positions, because the exported ``runner.py`` measures wheel angles from the reset.
     """
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
@@ -137,14 +137,14 @@ class Exported:
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]  # for each policy file, its largest difference from the training's simulation
-    notes: Sequence[str]  # sentences about missing parts of the bundle and the reasons
+    differences: Mapping[str, float]  # the largest difference of each policy file's actions from the simulated actions
+    notes: Sequence[str]  # Each note names a missing part of the exported folder, with the reason.
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
     """Write a run's policy as a bundle, by default into the folder ``exported/bundle`` of the run directory.
 
-    If the default folder already exists, a number is appended to the name of the bundle's folder. If ``checkpoint`` is
+    If the default folder already exists, a number is appended to the name of the new folder. If ``checkpoint`` is
     None, the last checkpoint of the run is exported. ConfigError means that a policy cannot run without the simulation.
     If an exported policy file gives different actions than the simulation, raise SimulationFailure and write nothing.
     """
@@ -171,14 +171,14 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
             run.manifest().add("export", files, results, command=command)
-        except BaseException:  # Remove the new bundle, because the manifest does not list it.
+        except BaseException:  # Remove an exported folder that the run's manifest does not list.
             shutil.rmtree(folder, ignore_errors=True)
             raise
     return Exported(run, checkpoint, folder, differences, notes)
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Write a bundle's files; return each policy file's largest difference, and notes about missing files."""
+    """Write the exported files; return each policy file's difference from the training's actions, and notes."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)

@@ -1,4 +1,4 @@
-"""Describe observation terms and sensor readings for a bundle's runner; ConfigError means an unsupported term."""
+"""Describe observation terms and sensor readings for the exported ``runner.py``; reject unsupported terms."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return the value of a sensor reading, such as ``base_quat``, ``commands.<term>``, or ``<imu>.<quantity>``."""
+    """Return the meaning of a sensor reading, such as ``base_quat``, ``commands.<term>``, or ``<imu>.<quantity>``."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):
@@ -70,7 +70,7 @@ def reading(name: str) -> Reading:
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the name of the sensor that observation terms read by default
+_IMU = "imu"  # the name of the IMU that observation terms read by default
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
@@ -85,7 +85,7 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
 
 
 def readings_of(groups: list[Spec]) -> list[str]:
-    """Return the names of the sensor readings that a policy's observation terms need, and of the joint positions."""
+    """Return the names of the sensor readings that observation terms need; ``joint_pos`` is always one of them."""
     names: list[str] = []
     for term in (term for group in groups for term in group["terms"]):
         names += [term["reading"]] if "reading" in term else term.get("needs", [])
@@ -109,7 +109,7 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm
     spec["clip"] = None if clip is None else [float(clip[0]), float(clip[1])]
     if scale is not None:
         spec["scale"] = [float(scale)] * term.width if isinstance(scale, (int, float)) else list(map(float, scale))
-    # The bundle's runner adds no noise, because the sensors of a real robot have noise.
+    # The exported ``runner.py`` adds no noise, because the sensors of a real robot have noise.
     noise = node.get("noise") if env.cfg["observations"][bound.path.split(".")[2]].get("enable_corruption") else None
     return spec | {"trained_with": {"noise": noise, "delay_steps": node.get("delay")}}
 

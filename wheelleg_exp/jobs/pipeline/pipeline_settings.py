@@ -27,7 +27,7 @@ _NAME = re.compile(r"[\w-]+")  # A phase name is a part of config keys and folde
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """A pipeline's config and phases; ``composed`` locates each key in a YAML file; None for a recorded config."""
+    """The config and phases of a training pipeline; ``composed`` is None if the config was read from a record."""
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
@@ -58,7 +58,7 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return the Hydra overrides of a phase's training, without those for the initial policy and the iterations.
+    """Return the Hydra overrides of one phase's training, except ``init_from`` and ``agent.max_iterations``.
 
     ``overrides`` are the overrides of the command line, which apply to all phases of the pipeline.
     """
@@ -129,7 +129,7 @@ def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
 
 
 def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
-    """Return an error about a phase, moved to a key of the pipeline's config whose file and line are known."""
+    """Return an error in a phase's training config as an error at the causing key of the pipeline's config."""
     blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
     if blamed == f"task={phase.task}":
         return _at_key(error, f"{key}.task")
@@ -141,20 +141,20 @@ def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: S
 
 
 def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
-    """Return an error about a phase's gate, moved to a key of the pipeline's config whose file and line are known."""
+    """Return an error in a gate (evaluation of a phase) as an error at the causing key of the pipeline's config."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
     if blamed == f"protocol={gate.protocol}":
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
-    # Several overrides together can cause a wrong value, so the error names the key that they have in common.
+    # Several overrides together can cause a wrong value, so the error names the gate's whole list of overrides.
     if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):
         return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", "")
     return error
 
 
 def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
-    """Return ``error`` with a new config key; unless ``blamed`` is None, the message contains the old config key."""
+    """Return ``error`` with the config key ``key``; unless ``blamed`` is None, its message names its original key."""
     message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
     return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 
@@ -162,7 +162,7 @@ def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigEr
 def _mistakes_by_phase(
     wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
 ) -> Iterator[ConfigError]:
-    """Yield each mistake in a phase's config with the phase's name, but a wrong override of all phases only once."""
+    """Yield each config mistake with the name of its phase; report a wrong override of all phases only once."""
     of_all = [
         {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
         for errors in wrong.values()

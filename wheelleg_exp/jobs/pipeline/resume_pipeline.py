@@ -18,7 +18,7 @@ from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-_CHANGEABLE_LATER = ("max_iterations", "gate")  # the settings of a started phase that a resume can change
+_CHANGEABLE_LATER = ("max_iterations", "gate")  # A resume can change these settings of a started pipeline phase.
 
 
 def resume_pipeline(
@@ -55,7 +55,7 @@ def resume_pipeline(
         if asked.gate is not None:
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
-        message = "a resume can change only settings of phases"
+        message = "a resume can change only settings of pipeline phases"
         raise ConfigError(message, key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"])))
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
@@ -75,7 +75,7 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
         expected = "--config-dir with the place where that folder is now, if it is yours"
         raise ConfigError(
-            f"the pipeline needs the folder {folder}, which {why}", key=str(index.path), expected=expected
+            f"the pipeline needs the config folder {folder}, which {why}", key=str(index.path), expected=expected
         )
     return folders
 
@@ -94,11 +94,11 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     phase = next((phase for phase in index.phases if phase["name"] == name), None)
     if phase is None:
         raise ConfigError(
-            "a resume can change only settings of phases", key=change.key, expected="settings of its phases"
+            "a resume can change only settings of pipeline phases", key=change.key, expected="settings of its phases"
         )
     if phase["status"] == "passed":
         raise ConfigError(
-            f"phase '{name}' has already passed its gate", key=change.key, expected="settings of a later phase"
+            f"phase '{name}' has already passed its evaluation", key=change.key, expected="settings of a later phase"
         )
     if phase["run"] is not None and change.keys[3] not in _CHANGEABLE_LATER:
         expected = f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline"

@@ -53,7 +53,7 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
     """Check that each gate (evaluation of a phase) measures every metric for which the gate has a bound."""
-    # A short evaluation gives the names of the metrics; NaN actions end every episode after one step.
+    # An evaluation with NaN actions gives the names of all metrics, and is short: each episode ends after one step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -84,7 +84,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # Check the protocol before the following lines change it.
+        read_section(Protocol, protocol, "protocol")  # Check the evaluation protocol before the test is shortened.
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:
@@ -219,7 +219,7 @@ class PipelineRunner:
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")
 
     def _perform(self, request: JobRequest, entry: dict[str, Any]) -> dict[str, Event]:
-        """Train, resume, or evaluate a run in a child process; return the last event of each type from the child."""
+        """Train, resume, or evaluate a run in a child process; return the child's last message of each type."""
         last: dict[str, Event] = {}
         if self._stop.requested:
             raise Interrupted

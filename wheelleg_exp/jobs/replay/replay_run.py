@@ -1,6 +1,6 @@
 """Replay a run: restore its source, train again from its snapshot alone, and compare with the original.
 
-A run can be replayed if it has ended and its snapshot files have the sha256 that its manifest records.
+A run can be replayed if the run has ended and its snapshot files have the sha256 that the run's manifest records.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
         name = path.relative_to(run.path).as_posix()
         if name not in recorded and not path.is_dir():
             raise RunDirectoryError(
-                f"the manifest lacks the file {name}", where=str(path), expected="the run's own files"
+                f"the run's manifest lacks the file {name}", where=str(path), expected="the run's own files"
             )
 
 
@@ -93,13 +93,13 @@ class Replayed:
     original: RunDirectory
     run: RunDirectory
     iterations: int
-    whole: bool  # whether the replay repeated all iterations of the original run
+    whole: bool  # True if the replay repeated all iterations of the original run.
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # whether the recorded overrides compose to the snapshot's config (``equal``, ``difference``)
-    asset: Event  # ``converted``: whether the robot was converted again; if not, ``note`` is the reason
+    composed: Event  # ``equal`` is true if the run's overrides still compose to the config that the run saved.
+    asset: Event  # If the replay did not convert the robot from its source files, ``note`` is the reason.
     notes: list[str]
-    kept: Path | None  # the folder of the restored source code, or None if it was removed
+    kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison
 
     def as_dict(self) -> dict[str, Any]:
@@ -154,7 +154,8 @@ def replay(
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
         folder = source.now(str(manifest.data.get("working_directory") or "/"))
-        if not (folder.is_dir() and folder.is_relative_to(workplace)):  # The restored source code may lack this folder.
+        # If the restored source code lacks the run's working directory, train in an empty folder.
+        if not (folder.is_dir() and folder.is_relative_to(workplace)):
             folder = workplace / "here"
         events = _train(request, source, environ, folder, display, stop)
     new = RunDirectory.open(events["run"]["path"], root)
@@ -180,7 +181,7 @@ def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], 
     try:
         return restore_all(run, workplace, repositories)
     except WheellegError:
-        stop.check()  # The error can come from git, because Ctrl-C interrupts git, too.
+        stop.check()  # Ctrl-C also interrupts git, so that git's error can mean that the user stopped the replay.
         raise
 
 
@@ -208,7 +209,7 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     if manifest.data.get("config_variables") is None:
         return environ
     # An environment variable that the config names and the manifest lacks was not set in the original run.
-    # Remove the variables that were not set in the original run; keep variables that manifests never record.
+    # Remove environment variables that were not set in the original run, except variables that no manifest records.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
 
@@ -299,7 +300,7 @@ def _request(
 def _train(
     request: Request, source: RestoredSource, environ: dict[str, str], folder: Path, display: Display, stop: StopRequest
 ) -> dict[str, Event]:
-    """Train a run again in a child process; return the last event of each type from the child."""
+    """Train a run again in a child process; return the child's last message of each type."""
     # With the option -P, Python imports nothing from the working directory.
     # The program is passed as text, so that the child process imports no file of the current ``wheelleg_exp``.
     code = Path(restored_imports.__file__).read_text(encoding="utf-8")

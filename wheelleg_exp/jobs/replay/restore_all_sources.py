@@ -27,21 +27,21 @@ class RestoredTree:
     """A source folder that a run recorded, with the origin of the folder's restored content."""
 
     root: str
-    how: str  # how the source was found: restored, installed, in place (not restored), or missing
+    how: str  # ``how`` says whether the source folder is restored, installed, in place (not restored), or missing.
     commit: str | None = None
     tree: str | None = None
-    origin: str | None = None  # the repository from which the source's commit was read
+    origin: str | None = None  # the git repository from which the recorded commit was read
 
 
 @dataclass
 class RestoredSource:
     """All source folders that were restored for a replay of a run."""
 
-    trees: list[RestoredTree] = field(default_factory=list)  # one tree per source folder, this package first
+    trees: list[RestoredTree] = field(default_factory=list)  # The first item is the source of the package wheelleg_exp.
     places: dict[str, Path] = field(default_factory=dict)  # maps each top-level package to its restored folder
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # the other folders that the new run records
+    source_roots: list[Path] = field(default_factory=list)  # the source folders of other packages and projects
     moved: dict[str, Path] = field(default_factory=dict)  # maps each recorded folder to its restored folder
     notes: list[str] = field(default_factory=list)
 
@@ -54,7 +54,7 @@ class RestoredSource:
         return self.moved[root] / Path(path).relative_to(root)
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return the facts about all restored source folders as dictionaries."""
+        """Return the path, the commit, and the origin of each restored source folder as a dictionary."""
         return [asdict(tree) for tree in self.trees]
 
 

@@ -16,12 +16,12 @@ from pathlib import Path
 from types import ModuleType
 
 _OWN = "wheelleg_exp"
-# The paths of the module that trains from a snapshot, in this version and in older versions of this package.
+# The paths of the module that repeats a run's training, in this version and in older versions of this package.
 ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 
 class RestoredFinder:
-    """Finds the modules of restored packages in the folders of these packages."""
+    """Makes Python import a package from the folder into which a replay restored the package's source code."""
 
     def __init__(self, places: dict[str, str]) -> None:
         self._places = places
@@ -35,7 +35,7 @@ class RestoredFinder:
             return None
         spec = PathFinder.find_spec(fullname, [self._places[top]] if path is None else path, target)
         if spec is None and top == _OWN:
-            raise ModuleNotFoundError(f"the restored source holds no module {fullname}", name=fullname)
+            raise ModuleNotFoundError(f"the restored source code of the run lacks the module {fullname}", name=fullname)
         return spec
 
 

@@ -34,17 +34,17 @@ class Request:
     """The parent process's request to train a run again from its snapshot."""
 
     protocol: int
-    run: str  # the run directory that contains the snapshot
+    run: str  # the directory of the run that the replay trains again
     until: int  # the number of iterations that the replay trains
-    root: str  # the root folder of the new run
-    name: str  # the name of the new run
+    root: str  # the folder in which the replay creates its run directory
+    name: str  # the name of the run that the replay trains
     workplace: str  # a temporary folder that the parent process removes after the training
     config_dirs: list[str]
     projects: list[str]
     source_roots: list[str]
     moved: dict[str, str]  # maps each recorded source folder to its restored folder
     command: list[str]
-    facts: dict[str, Any]  # facts for the manifest of the new run
+    facts: dict[str, Any]  # further entries in the manifest of the run that the replay trains
 
     def line(self) -> bytes:
         """Return the request for a replay as one line of JSON."""
@@ -72,7 +72,7 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send an event to the parent process, and store the facts in the event for the manifest of the new run."""
+        """Send an event with ``facts`` to the parent process; the replay's manifest will also contain ``facts``."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 
@@ -120,7 +120,7 @@ def _train(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Return the config of the snapshot with the folder of the new run, without films and without W&B logging."""
+    """Return the config that the original run saved, with a new run directory, and without videos and W&B logging."""
     from wheelleg_exp.run.run_config import load_params, recorded_config
 
     env, agent = load_params(run)
@@ -195,7 +195,7 @@ def _moved(name: str, moved: Mapping[str, str]) -> str:
 
 
 def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Compose a config from the recorded overrides and the restored YAML files, and compare it with the snapshot."""
+    """Compose a config from a run's overrides and restored YAML files, and compare it with the run's saved config."""
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.files import read_yaml
     from wheelleg_exp.run.run_config import load_params, recorded_overrides

@@ -30,7 +30,7 @@ from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
 # The config keys of an observation term that decide the term's function and width.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
-Tree = Mapping[str, Any]  # a config section, or the content of a checkpoint
+Tree = Mapping[str, Any]  # ``Tree`` is the type of config sections and of loaded checkpoints.
 _IGNORED_KEYS = ("noise",)  # The keys of an observation term that can change while a trained policy remains usable.
 
 
@@ -38,18 +38,18 @@ _IGNORED_KEYS = ("noise",)  # The keys of an observation term that can change wh
 class Fit:
     """The differences between the settings of a policy's earlier training and the settings of a new training."""
 
-    mistakes: list[ConfigError]  # the differences that make the trained policy unusable
-    suspects: list[ConfigError]  # changed joints, bodies, or sensors of an observation term, which may change its width
-    notes: list[str]  # texts about ``suspects``, and about changes that keep the layout of the observations
+    mistakes: list[ConfigError]  # Each error names a changed setting that makes the earlier policy unusable.
+    suspects: list[ConfigError]  # Each error names changed joints or sensors, which may change an observation's width.
+    notes: list[str]  # Each note describes a changed setting with which the earlier policy may remain usable.
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the settings of a policy's earlier training with the settings of a new training.
 
     ``was`` and ``now`` are the config sections ``env`` and ``agent`` of the earlier and of the new training. ``roles``
-    names the networks to copy; ``of`` is the name of the earlier run in messages. Only a built environment shows
-    whether a changed parameter, such as a list of joints, changes a term's width. A changed parameter of an observation
-    term is reported as a note, not as a mistake.
+    names the networks to copy; ``of`` is the earlier run's name for messages. Only a built environment shows whether a
+    changed parameter, such as a list of joints, changes a term's width. A changed parameter of an observation term is
+    reported as a note, not as a mistake.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -74,7 +74,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
     for change in changes(was or {}, now or {}, same):
-        if change.keys != ("distribution_cfg", "init_std"):  # The learned value is used.
+        if change.keys != ("distribution_cfg", "init_std"):  # The checkpoint's learned action std replaces init_std.
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
@@ -145,7 +145,7 @@ class _Source:
 
 @contextmanager
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield the initial networks' file by its saved name, and facts about its run; empty dicts without ``init_from``.
+    """Yield a dict with the file of the initial networks, and a dict with the earlier run's id and task.
 
     The file of the initial networks does not name the earlier run, so that equal networks have equal files. ``note``
     receives texts about observations that differ between the earlier and the new training. ConfigError means that the
@@ -157,11 +157,11 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
     with _at_key(KEY):
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
-        # Create a checkpoint with the selected parts of the earlier checkpoint, and with facts about their origin.
+        # Copy the networks that ``init_from_what`` selects into a new checkpoint, and add the networks' origin.
         what = _parts_name(config)
         parts = PARTS[what]
         if "actor" not in config["agent"]:
-            raise ConfigError("a student cannot start with another policy", key=KEY, expected="null, or another agent")
+            raise ConfigError("a student cannot start with a saved policy", key=KEY, expected="null, or another agent")
         absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
         if absent:
             message = f"'{source.label}' has no {absent[0]} to start with"
@@ -211,13 +211,13 @@ def _find(named: str, root: str) -> _Source:
         run = RunDirectory.open(folder, root) if (folder / MANIFEST_NAME).is_file() else None
     else:
         if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
-            # If the checkpoint is missing, the next call raises an error that suggests a checkpoint of similar name.
+            # For a missing checkpoint, the method ``checkpoint`` raises an error that suggests a similar name.
             RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))
         run = RunDirectory.open(named, root)
         path = run.latest_checkpoint()
     if run is not None and not run.manifest().matches_record(path):
         expected = "a checkpoint nobody has changed"
-        raise RunDirectoryError("differs from the checkpoint that its run recorded", key=str(path), expected=expected)
+        raise RunDirectoryError("the checkpoint file was changed after the training", key=str(path), expected=expected)
     return _Source(path, run)
 
 
@@ -225,7 +225,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # The networks of a distillation (student and teacher) are not compared.
+    if "actor" not in agent:  # Settings are not compared with a distillation run, which has a student and no actor.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
@@ -245,7 +245,7 @@ def _at_key(key: str) -> Iterator[None]:
 
 
 def find_teacher(config: Tree) -> dict[str, Path]:
-    """Return the teacher's checkpoint file by its saved name; return an empty dict if the config names no teacher."""
+    """Return a dict with the teacher's checkpoint file as its only value; empty if the config names no teacher."""
     named = config["agent"].get("teacher_checkpoint")
     if named is None:
         return {}

@@ -56,7 +56,7 @@ class Recipe:
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None  # the recorded choice of ``agent.matmul: auto`` for a resume; None chooses by this CPU
+    matmul: str | None = None  # For ``agent.matmul: auto``, a resume uses the recorded choice; None means a new choice.
 
 
 @dataclass(frozen=True)

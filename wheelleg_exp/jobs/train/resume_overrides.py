@@ -56,7 +56,7 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
-_CHANGEABLE = (("env", "sim", "graph_step"),)  # the settings that a resume can change despite _FIXED
+_CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can change ``graph_step``, although ``env.sim`` is fixed.
 _NEW_KEYS = ("init_from", "init_from_what")  # The keys that the configs of older runs lack.
 # The keys of an observation term or group that change neither the width nor the meaning of the observation vector.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
@@ -75,7 +75,7 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
 
 
 def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Apply a resume's overrides to a recorded config; return the new config and its changes; fixed keys are errors."""
+    """Return a run's config after the overrides of a resume, and the changes; reject changes of unchangeable keys."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
     found = list(changes(recorded, tree, _same_value))
@@ -126,7 +126,7 @@ def _refusal(change: Change, why: str) -> ConfigError:
 def rewritten_files(
     run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
-    """Return the files of the snapshot that changed settings rewrite: text by relative name."""
+    """Return the new texts of those snapshot files that contain changed settings, by relative file name."""
     if not found:
         return {}
     config = load_config(run)
@@ -141,7 +141,7 @@ def rewritten_files(
 
 
 def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
-    """Write a changed value into the unresolved config; replace an interpolation of a parent key by its values."""
+    """Write a changed value into the unresolved config; if a parent key is an interpolation, resolve this parent."""
     node: Any = config
     for key in change.keys[:-1]:
         tree = tree.get(key) or {}
@@ -164,6 +164,6 @@ def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # An override that Hydra cannot parse is itself used as the key.
+    except (HydraException, RecursionError):  # An override that Hydra cannot parse replaces only an equal override.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

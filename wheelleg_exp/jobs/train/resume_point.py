@@ -35,7 +35,7 @@ class ResumePoint:
     checkpoint: Path | None  # the checkpoint from which the run resumes; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
     lines: Sequence[Line]  # the complete lines in the run's iteration log
-    damaged: Mapping[Path, str]  # checkpoints after ``start`` that cannot be used, each with the reason
+    damaged: Mapping[Path, str]  # checkpoints after ``iteration`` that cannot be used, each with the reason
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
@@ -62,7 +62,7 @@ def find_point(run: RunDirectory) -> ResumePoint:
             state = checkpoint.load(path, finite=False)  # The resumed training itself detects NaN and inf.
             if state["iter"] != checkpoint_iteration(path):
                 raise RunDirectoryError(
-                    f"the checkpoint's iteration {state['iter']} differs from its name", key=str(path)
+                    f"the checkpoint's iteration {state['iter']} differs from its file name", key=str(path)
                 )
         except RunDirectoryError as error:
             damaged[path] = error.message
@@ -130,11 +130,11 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        # Remove the exported policy, which the resume changes, but keep bundles, which name their checkpoints.
+        # Remove exported policy files, which the resume changes; keep exported folders, which name their checkpoints.
         for path in run.exported.iterdir() if run.exported.is_dir() else ():
             if path.is_file():
                 path.unlink()
-            elif path in temporaries(run.exported):  # A killed export has left this temporary folder behind.
+            elif path in temporaries(run.exported):  # A killed export process can leave a temporary folder.
                 shutil.rmtree(path)
         (run.path / FAILURE).unlink(missing_ok=True)  # The manifest describes the failure of the run.
         if point.iteration == 0:

@@ -246,7 +246,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add a hint about unused config folders in the run's manifest to errors about unknown targets."""
+    """Add the names of the run's unused config folders to errors about functions outside the allowed packages."""
     try:
         yield
     except ConfigError as error:
@@ -282,7 +282,7 @@ class RecomputedCheck:
         self._range = [min(expected, default=0), max(expected, default=-1)]
 
     def __call__(self, iteration: int, found: Mapping[str, str]) -> None:
-        """Compare the digests (hashes) of an iteration with its logged digests, and record the first difference."""
+        """Compare the hashes of an iteration's training state with the logged hashes; record the first difference."""
         expected = self._expected.pop(iteration, None)
         if expected is None:
             return

@@ -122,7 +122,7 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
                 first = error
                 raise
     except BaseException as error:
-        first = first or error  # The first error usually caused ``error``.
+        first = first or error  # An error of the training usually caused the error that closing the files raised.
         try:
             _record_end(training, outputs, display)
         except Exception as second:
@@ -142,7 +142,7 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     if unfinished:
         text = f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
         display.note(text + "'wheelleg inspect RUN --repair' writes a copy with one")
-    # The manifest may mention a recording as unfinished that was finished after a resume.
+    # A resume can finish a recording that the manifest still calls unfinished.
     if unfinished or "recording_unfinished" in training.manifest.data:
         training.manifest.record(recording_unfinished=unfinished)
 

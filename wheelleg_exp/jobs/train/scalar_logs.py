@@ -4,7 +4,7 @@ An event file is a sequence of records: length (8 bytes), checksum of the length
 content is an ``Event`` message: first the file's version, then scalars by step. A resume removes scalars after the
 checkpoint from TensorBoard's event files, which then contain each iteration once. Weights & Biases receives only the
 name, the composed config, and the scalars of a run. rsl_rl's own writer is not used: it also sends the local path and a
-git diff, takes the account from ``WANDB_USERNAME`` for a team, and uploads every film.
+git diff, takes the account from ``WANDB_USERNAME`` for a team, and uploads every video.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Cut TensorBoard's event files so that they contain exactly the scalars of ``lines``."""
+    """Remove all scalars from TensorBoard's event files that ``lines``, the run's iteration log, does not contain."""
     # If the event files lack scalars, for example after a loss of data, replace all event files.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
-        # Cut the event file before its first record of iteration ``steps``; add the tags that remain to ``found``.
+        # Cut the event file before the first scalar of an iteration that the run's log does not contain.
         steps = len(lines)
         end, kept = 0, 0
         for event, stop in _events(path):

@@ -21,17 +21,17 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.state.tensor_trees import host_copy
 
 _FILM_SIZE_PX = (640, 360)
-_MAX_FPS = 30.0  # The frame rate of a film can be below this rate, because each picture shows one control step.
+_MAX_FPS = 30.0  # A video shows every n-th control step, with at most about 30 pictures per second.
 _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 
 
 class Films:
-    """A context manager that films the first of the recorded environments, without any effect on the training.
+    """A context manager that makes videos of the first recorded environment, without any effect on the training.
 
-    A film starts with every ``video_every``-th training iteration. A film ends with the iteration in which it reaches
-    ``steps`` control steps, at the latest when the next film starts. Robot positions are kept in memory, and drawn as
-    pictures between two iterations. A rendering error ends the films, but not the training. Then ``ended`` is the
-    reason.
+    A video starts with every ``video_every``-th training iteration. A video ends with the iteration in which ``steps``
+    control steps are reached, at the latest when the next video starts. Robot positions are stored in memory, and drawn
+    as pictures between two iterations. After a rendering error, the training continues without videos, and ``ended`` is
+    the reason.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:
@@ -52,7 +52,7 @@ class Films:
         self._finish()
 
     def write(self, iteration: int) -> None:
-        """Render the current film if ``iteration`` was its last; start a new film if the schedule requires it."""
+        """Render a video that ends with ``iteration``; start a new video every ``video_every`` iterations."""
         if len(self._positions) >= self._steps or (iteration + 1) % self._every == 0:
             self._finish()
         self._begin(iteration + 1)
@@ -83,7 +83,7 @@ class Films:
 
 
 def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
-    """If films are requested, render one picture, so that a machine without graphics fails before the training."""
+    """If videos are requested, render one picture, so that a machine without graphics fails before the training."""
     if not options.video_every:
         return
     pictures = _pictures(env)
@@ -97,7 +97,7 @@ def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
 
 
 def films_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the files of all films that start with ``iteration`` or a later iteration."""
+    """Return the files of all videos that start with ``iteration`` or a later iteration."""
     found = ((path, _FILM_NAME.fullmatch(path.name)) for path in folder.glob("*.mp4"))
     return [path for path, match in found if match and int(match[1]) >= iteration]
 
@@ -110,10 +110,10 @@ class TrainingRecording(ObservingRecording):
     """Records a training while entered.
 
     ``write`` writes the data of each training iteration to the recording file. If a rollout has less than 16 steps, its
-    last frames can be written with the following iteration. A motion sample (recorded episodes) starts at every
-    ``interval``-th iteration, unless the file could become too large. In each environment, a motion sample (recorded
-    episodes) starts with a new episode, and ends with the episode in which the sample reaches ``steps`` frames. A
-    resume records the same motion samples, because their starts depend only on options and recorded frames.
+    last frames can be written with the following iteration. At every ``interval``-th iteration, some episodes are
+    recorded, unless the recording file could become too large. In each environment, the recorded frames start with a
+    new episode, and end with the episode in which the number of frames reaches ``steps``. A resumed run records the
+    same episodes as an uninterrupted run, because the schedule depends only on options and recorded frames.
 
     A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
     dropped, and an unfinished sample continues. ``note`` is a text with warnings about the recording, or None.
@@ -142,7 +142,7 @@ class TrainingRecording(ObservingRecording):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        # In the longest possible motion sample, the last episode starts just before frame ``options.steps``.
+        # The longest sample's last episode starts just before frame ``options.steps`` and has the maximum length.
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
@@ -154,7 +154,7 @@ class TrainingRecording(ObservingRecording):
             self._tell_bound(0)
 
     def _warning(self) -> str | None:
-        """Return a warning if one motion sample (recorded episodes) can exceed the file's size limit, else None."""
+        """Return a warning if the episodes of one iteration can exceed the recording file's size limit, else None."""
         if self._longest <= self._room:
             return None
         return (
@@ -169,7 +169,7 @@ class TrainingRecording(ObservingRecording):
         return self._recorder.unfinished
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Write the scalars of one training iteration; if the schedule requires it, start to record episodes."""
+        """Write the scalars of one training iteration; at every ``interval``-th iteration, start to record episodes."""
         self._recorder.scalars(scalars, iteration)
         following = iteration + 1
         if following % self._options.interval == 0:
@@ -192,7 +192,7 @@ class TrainingRecording(ObservingRecording):
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
 
     def _due(self, iteration: int) -> int:
-        """Return the control step after which a motion sample (recorded episodes) of ``iteration`` can start."""
+        """Return the control step after which the episodes of ``iteration`` can be recorded."""
         now = self._env.common_step_counter
         return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 

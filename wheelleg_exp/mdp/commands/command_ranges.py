@@ -27,7 +27,7 @@ class _Ranges:
 
 @dataclass(frozen=True)
 class CommandSettings:
-    """The settings of a command that terms written for Isaac Lab read in ``command.cfg``.
+    """A command's settings in the form of Isaac Lab's ``command.cfg``, for terms that were written for Isaac Lab.
 
     Attributes:
         ranges: [low, high] by axis as attributes; a range that is set applies from the next draw.
@@ -49,15 +49,15 @@ class RangedCommand(CommandTerm):
 
     @property
     def cfg(self) -> CommandSettings:
-        """The settings of the command by their names in Isaac Lab. The ranges can be changed."""
+        """Settings of the command under their names in Isaac Lab; the attributes of ``cfg.ranges`` can be set."""
         return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
         """Set the ranges of a command's components by axis; the component of an axis without a range is 0."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # code that is not in inference mode writes to the bounds
-            self._bounds = self._present()  # stored as a tuple, because tensor attributes would be saved as state
+        with torch.inference_mode(False):  # Code outside inference mode must be able to change the ranges' tensors.
+            self._bounds = self._present()  # Store the bounds in a tuple, because a checkpoint saves tensor attributes.
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:

@@ -216,7 +216,7 @@ def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_height_is_given)
 class UniformBasePoseCommand(RangedCommand):
-    """Commands the base's height above the ground, m, roll, and pitch, rad, drawn uniformly from their ranges.
+    """Commands the base's height above the ground (m), roll (rad), and pitch (rad), drawn uniformly from ranges.
 
     ``measured`` returns the base's present height, roll and pitch, which rewards can compare with the command.
 
@@ -246,12 +246,12 @@ class UniformBasePoseCommand(RangedCommand):
         return self._command
 
     def measured(self) -> torch.Tensor:
-        """Return the base's current height above the ground, m, roll, and pitch, rad, (N, 3)."""
+        """Return the base's current height above the ground (m), roll (rad), and pitch (rad), shape (N, 3)."""
         data = self.robot.data
         return torch.stack((height_over_ground(self._env, data.root_pos_w), *roll_pitch(data)), dim=1)
 
     def errors(self) -> torch.Tensor:
-        """Return the absolute errors of the base's height, m, roll and pitch, rad, (3, N)."""
+        """Return the absolute errors of the base's height (m), roll (rad), and pitch (rad), shape (3, N)."""
         return (self._command - self.measured()).abs().T
 
     def draw(self, env_ids: torch.Tensor) -> None:

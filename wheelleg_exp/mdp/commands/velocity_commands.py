@@ -31,8 +31,8 @@ class UniformVelocityCommand(RangedCommand):
 
     In environments that are drawn as standing, the velocity command is zero. With ``heading_command``, some
     environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. After a
-    command was drawn, the first call of ``compute`` applies the standing and heading settings. As in Isaac Lab, the
-    observation right after ``reset`` contains the drawn values.
+    command was drawn, the first call of ``compute`` applies the standing and heading settings. As in Isaac Lab, an
+    observation right after ``reset`` contains the drawn velocity without the standing and heading settings.
 
     Args:
         ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
@@ -131,7 +131,7 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    Components drawn as zero become zero at the first call of ``compute`` after the draw. Target headings are not drawn.
+    Velocity components drawn as zero become zero at the next call of ``compute``. Target headings are not drawn.
 
     Args:
         ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` are means, standard deviations, and probabilities of zero
@@ -148,7 +148,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # Store the moments in stored as a tuple, because tensor attributes would be saved as state.
+        # Store the moments of the distributions in a tuple, because tensor attributes would be saved as state.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 

@@ -100,9 +100,9 @@ class set_root_velocity(push_by_adding_velocity):
 class apply_body_impulse(TermBase):
     """Push bodies at random times with a constant force (N) and torque (N·m), in the event mode ``step``.
 
-    A push, in link axes, acts on each body's centre of mass, besides wrenches of other events. One range of forces or
-    torques applies to all three axes of a link, and each body gets its own random draw. Each episode starts with a
-    pause before the first push. A reset ends a push.
+    A push acts on each body's centre of mass in link axes, in addition to the wrenches of other events. One range of
+    forces or torques applies to all three axes of a link, and each body gets its own random draw. Each episode starts
+    with a pause before the first push. A reset ends a push.
 
     Args:
         force_range: [low, high], N.
@@ -141,7 +141,7 @@ class apply_body_impulse(TermBase):
         return self._lows + self._spans * u
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Start the episodes of ``env_ids`` with a pause; the robot's reset has already cleared the pushes."""
+        """Start a pause before the next push in ``env_ids``; the robot's reset has already removed the old push."""
         fill_rows(self._is_pushed, env_ids, False)
         fill_rows(self._push, env_ids, 0.0)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]

@@ -157,7 +157,7 @@ def _reset_joints(
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
     """Reset the robot to its default root and joint state.
 
-    With ``reset_joint_targets``, the event resets the joint targets too.
+    If ``reset_joint_targets`` is True, the joint targets are set to the default joint positions and velocities.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene.robot

@@ -59,7 +59,7 @@ class EntityRows:
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return a rerun entity's rows as ``Recording.table`` does. Raise KeyError for an entity without any row."""
+        """Return a rerun entity's values over time, sorted by step; raise KeyError for an entity without values."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:

@@ -17,7 +17,7 @@ from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
 _NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
-# The limits when a damaged file is read: numbers per entity, numbers per recording, characters of group names.
+# Limit the numbers per entity and recording and the characters of group names, because a file can be damaged.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 
@@ -107,7 +107,7 @@ class NumberNames:
 
 
 def is_numeric(rows: EntityRows, entity: str) -> bool:
-    """Return whether a rerun entity contains plain numbers instead of shapes, poses, or texts."""
+    """Return whether a data series of a recording (rerun entity) contains numbers, not shapes, poses, or texts."""
     return entity.split("/")[0] not in _NOT_NUMBERS and SCALARS in rows.columns(entity)
 
 
@@ -139,10 +139,10 @@ def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class _Timeline:
-    """The union of the control steps of several rerun entities.
+    """The control steps that occur in at least one of several data series of a recording (rerun entities).
 
-    ``columns`` are the timelines that all entities have in common, with ``sim_time`` in s. ``rows`` contains the
-    indices of each entity's rows in the union, or None if the entity has a row for every control step of the union.
+    ``columns`` contains the timelines that every rerun entity of the union has, with ``sim_time`` in s. ``rows`` maps
+    each rerun entity to the indices of its control steps in ``columns``, or to None if it has all control steps.
     """
 
     columns: dict[str, NDArray]

@@ -75,7 +75,7 @@ class Piece:
 
     @property
     def names(self) -> list[str]:
-        """The names of the timelines and components of the message's rows."""
+        """The names of the columns of times (rerun timelines) and of data (rerun components) in the rows."""
         return [field.name for field in self.batch.schema if is_index(field) or is_component(field)]
 
 
@@ -120,7 +120,7 @@ class Contents:
         return found
 
     def rows(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of a rerun entity, in which each known column has the Arrow type for its name."""
+        """Yield the rows of a rerun entity; convert each column with a known name to the Arrow type of this name."""
         return map(known_columns, self.batches(entity, static=static))
 
     def batches(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
@@ -163,7 +163,7 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
     rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
-    ``closed_copy`` raises RunDirectoryError if no message is readable.
+    ``closed_copy`` raises RunDirectoryError if rerun's program cannot write a readable copy.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"
@@ -174,8 +174,7 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count the damaged messages in rerun's log instead of the rows that rerun's copy lacks, because rerun's copy
-        # omits each static row that a later static row replaces.
+        # Count the damaged messages in rerun's log, because rerun's copy also omits undamaged data that was replaced.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 

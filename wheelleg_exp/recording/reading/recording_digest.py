@@ -19,7 +19,7 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, columns,
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# The entities with texts and wall-clock times, which differ between equal runs.
+# A digest leaves out texts and wall-clock times, because they differ between equal runs.
 LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 
@@ -27,7 +27,7 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
     """Return a sha256 over the content of a recording, which changes if one bit of a number changes.
 
     The sha256 ignores row ids, chunk boundaries, and the recording's name, id, properties, and layout, which differ
-    between equal runs. The sha256 ignores the entities at and below the paths ``without``.
+    between equal runs. The sha256 of a recording also ignores each rerun entity at or below a path in ``without``.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():

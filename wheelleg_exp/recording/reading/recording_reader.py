@@ -82,16 +82,16 @@ class Recording(EntityRows):
         The table of an entity has the columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one
         list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
 
-        The table of a group has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64 column for each
-        number, with NaN for control steps without a row. For an entity without the timeline ``step``, the table's
-        column ``step`` contains row numbers. The default of ``env_id`` is the first recorded environment. An unknown
-        name raises RunDirectoryError.
+        The table of a group of entities has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64
+        column for each number. A number is NaN at control steps without a record. For an entity without the timeline
+        ``step``, the table's column ``step`` contains row numbers. The default of ``env_id`` is the first recorded
+        environment. An unknown name raises RunDirectoryError.
         """
         path = self._resolved(name, env_id)
         return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)
 
     def numbers(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return the numbers of a rerun entity or a group of entities, in the format that ``table`` has for a group."""
+        """Return the numbers of a rerun entity or a group of entities as a table with one column for each number."""
         return self.columns_of(self._names.numbers_of(self._resolved(name, env_id)))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
@@ -99,13 +99,13 @@ class Recording(EntityRows):
         return self._names.all(self.branch(env_id))
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
-        """Return the recorded numbers ``numbers`` as a table, in the format that ``table`` has for a group."""
+        """Return a table with the recorded timelines and one column for each element of ``numbers``."""
         return number_groups.table(self, numbers)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:
         """Return the numbers of a rerun entity or group of entities, (rows, width), sorted by control step.
 
-        ``matrix`` raises RunDirectoryError if the entity has no numbers or if its rows differ in width.
+        ``values`` raises RunDirectoryError if the entity has no numbers or if its rows differ in width.
         """
         path = self._resolved(name, env_id)
         return self.matrix(path) if self.has_rows(path) else number_groups.matrix(self, self._names.numbers_of(path))
@@ -150,7 +150,7 @@ class Recording(EntityRows):
         purpose = self.properties.get(OWN, {}).get("purpose")
         if isinstance(purpose, str):
             return purpose
-        # Old recordings (format 1) contain no properties, so guess the recording's purpose from the recorded entities.
+        # Recordings of format 1 do not state their purpose, so guess the purpose from the names of the recorded data.
         parts = {BRANCH.sub("", entity).split("/")[0] for entity in self.entities()}
         return "training" if layout.TRAINING in parts else "play" if {"rewards", "terminations"} <= parts else None
 
@@ -187,10 +187,10 @@ class Recording(EntityRows):
         return sorted({int(match.group(1)) for match in matches if match})[:_MOST_ENVS]
 
     def branch(self, env_id: int | None = None) -> str:
-        """Return the prefix of an environment's entity paths, such as ``env_3/``.
+        """Return the first part of an environment's entity paths, such as ``env_3``.
 
-        ``branch`` returns an empty prefix if only one environment was recorded, and raises RunDirectoryError if the
-        environment ``env_id`` was not recorded.
+        ``branch`` returns an empty text if only one environment was recorded, because its entity paths have no prefix.
+        ``branch`` raises RunDirectoryError if the environment ``env_id`` was not recorded.
         """
         if env_id is not None and env_id not in self.env_ids:
             message = f"environment {env_id} was not recorded in '{self.path}'"

@@ -25,13 +25,13 @@ from wheelleg_exp.recording.blueprint import blueprint
 from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.rrd_file import APPLICATION, HEADER_SIZE, STORE_INFO, RrdFile
 
-if TYPE_CHECKING:  # At runtime, the import of the recorder would import torch and mujoco.
+if TYPE_CHECKING:  # Only type checkers import the recorder, because its module imports torch and mujoco.
     from wheelleg_exp.recording.writing.recorder import Recorder
 
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
 _POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
-_CHUNKS_PER_FLUSH = 500  # The number of data chunks after which to wait until rerun's viewer has received them.
+_CHUNKS_PER_FLUSH = 500  # After 500 data chunks, wait until rerun's viewer has received all of them.
 _NOWHERE = f"http://{LOOPBACK}:9"  # Port 9 belongs to the discard service, and no server listens on this port.
 
 
@@ -61,7 +61,7 @@ class Follower:
     def __init__(self, path: Path) -> None:
         self._file = RrdFile(path)
         self._place = HEADER_SIZE
-        self._announced = b""  # The message that precedes the data chunks of a recording in an rrd file.
+        self._announced = b""  # In an rrd file, a recording's header message precedes the recording's data chunks.
 
     def chunks(self) -> Iterator[tuple[str, Chunk]]:
         """Yield each data chunk that the run completed since the last call, with the id of the chunk's recording."""
@@ -78,7 +78,7 @@ class Follower:
             segment.writelines(self._file.body(begin))
             segment.flush()
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Suppress rerun's warning that the temporary file has no index.
+                warnings.simplefilter("ignore")  # Suppress rerun's warning about an rrd file without an index.
                 reader = RrdReader(segment.name)
                 for entry in reader.recordings():
                     for chunk in reader.stream(store=entry):
@@ -88,7 +88,7 @@ class Follower:
 class Feed:
     """Sends a growing recording, and the layouts in ``folder``, to rerun's viewer at the network port ``port``.
 
-    The function ``is_open`` returns whether the viewer is running.
+    The function ``is_open`` returns whether rerun's viewer is running.
     """
 
     def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
@@ -99,7 +99,7 @@ class Feed:
         self._layout_time = -1
 
     def step(self) -> None:
-        """Send the new data chunks. Raise ViewerLostError if the viewer does not receive the chunks."""
+        """Send new data of the recording to rerun's viewer; raise ViewerLostError if the viewer receives no data."""
         for number, (recording_id, chunk) in enumerate(self._follower.chunks(), start=1):
             if self._stream is None:
                 self._stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, send_properties=False)
@@ -181,7 +181,7 @@ def main(words: list[Any]) -> None:
     try:
         follow(Path(words[0]), folder, words[2:])
     except ViewerLostError as error:
-        with contextlib.suppress(OSError):  # The parent process, which prints messages, can have stopped.
+        with contextlib.suppress(OSError):  # Writing fails if the parent process of the live view has ended.
             os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
     finally:
         shutil.rmtree(folder, ignore_errors=True)

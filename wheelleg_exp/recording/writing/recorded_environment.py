@@ -108,7 +108,7 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
 
 
 MEGABYTE = 1_000_000
-# Measured sizes in an rrd file, bytes: metadata and index entry of a data chunk, three times of a row, pose, number.
+# In an rrd file, a data chunk adds 2100 bytes, the times of a row 24, a pose 28, and a number 8 (measured).
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 
 # Arrow lengths are proportional to the robot's height, so that arrows are visible for robots of any size.
@@ -169,7 +169,7 @@ class RecordedEnvironment:
     def frame_bytes(self, rows_together: int) -> float:
         """Return an upper estimate of a frame's bytes in a recording with ``rows_together`` frames per data chunk."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # Angles, the norms and arrows of contact forces, and velocity arrows are rerun entities without a channel.
+        # Add the rerun entities of 3 angles, contact forces (2 per sensor), 2 velocity arrows, and all body poses.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
@@ -177,7 +177,7 @@ class RecordedEnvironment:
         return content + _CHUNK * entities / rows_together
 
     def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
-        """Add the environment's state after a control step to the buffer. ``ends`` states whether the episode ended."""
+        """Buffer the environment's state after a control step for recording. ``ends`` is true if the episode ended."""
         self.episodes.advance(stamp.step, episode_step)
         self.sample.steps.append(stamp.step)
         self.sample.took(ends=ends)

@@ -39,7 +39,7 @@ class EventLog:
         self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
 
     def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
-        """Log the episodes that ended at a control step, with causes; ``look_back`` logs interval events later."""
+        """Log which episodes ended at a control step, and why. The method ``look_back`` logs interval events later."""
         manager = self._env.termination_manager
         for env_id, paths in envs:
             failed = bool(host_copy(manager.terminated[env_id]))
@@ -58,7 +58,7 @@ class EventLog:
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # If all environments share the timer of an event, one flag applies to all environments.
+                # If all environments share an event's timer, the event has one flag, else one flag per environment.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
@@ -90,7 +90,7 @@ class TrainingScalars:
         self._iterations = 0
 
     def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
-        """Add the scalars of a training iteration. Return whether a scalar has a key that no earlier iteration had."""
+        """Buffer the scalars of a training iteration. Return whether a scalar's key is new in this training."""
         new = [key for key in values if key not in self.keys]
         self.keys += new
         for key, value in values.items():

@@ -29,8 +29,8 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 class Channel:
     """One row of numbers in each frame: its name, the names of the numbers, and a function that reads the row.
 
-    ``entities`` contains one rerun entity for the whole row or one rerun entity per number. ``entities`` is empty if
-    the row of numbers is only used to draw shapes.
+    ``entities`` contains one rerun entity for all numbers of the channel or one per number. ``entities`` of a channel
+    is empty if the channel's numbers are only used to draw shapes.
     """
 
     key: str
@@ -42,7 +42,7 @@ class Channel:
 def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
     """Return the recorded quantities (channels) of one environment's robot and managers.
 
-    Body poses are not channels, because the recorder computes body poses from ``qpos`` when it writes the frames.
+    The recorded quantities do not include body poses, because the recorder computes body poses from ``qpos``.
     """
     parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
     channels = [channel for part in parts for channel in part(env, env_id, paths)]
@@ -57,7 +57,7 @@ def velocity_command(env: ManagerBasedRLEnv) -> str | None:
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
-    """Return a channel that stores all its numbers in one rerun entity."""
+    """Return a channel (recorded row of numbers) that stores all its numbers in one rerun entity."""
     return Channel(key, tuple(names), read, (entity,))
 
 
@@ -100,7 +100,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
         term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
-            # Each command component has its own entity, so that a plot can show it with its measured value.
+            # Each command component has its own entity, so that one plot can show commanded and measured velocities.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
@@ -186,7 +186,7 @@ class Episodes:
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Count a recorded row with the given control step of the run and the given step within the episode, from 1."""
+        """Count a row that was recorded at step ``step`` of the run and at step ``episode_step`` of the episode."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step

@@ -110,7 +110,7 @@ class Recorder:
         """Start a segment: from now on, ``capture`` records every selected environment.
 
         After ``steps`` frames, the recording pauses and logs the message ``last_words``. None means unlimited.
-        ``iteration`` is the training iteration of the recorded frames. Assign the attribute ``iteration`` to change it.
+        ``iteration`` is the training iteration of the recorded frames; set the attribute ``iteration`` to change it.
         """
         self.iteration, self.captured = iteration, 0
         self._limit, self._last_words = -1 if steps is None else steps, last_words
@@ -119,9 +119,9 @@ class Recorder:
     def sample(self, due: int, enough: int, most: int) -> None:
         """Start or resume a sample of each environment, a sequence of complete episodes that ``capture`` records.
 
-        Episodes of a sample start after the control step ``due``. After ``enough`` frames of an environment, a sample
-        ends with the environment's current episode. If ``enough`` is 0, a sample is empty. After ``most`` frames, a
-        sample ends within an episode.
+        Only episodes that start after the control step ``due`` are recorded. After ``enough`` frames of an environment,
+        recording stops at the end of the environment's current episode. If ``enough`` is 0, no frame is recorded. After
+        ``most`` frames, recording stops within an episode.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:

@@ -23,7 +23,7 @@ class RecordingFile:
 
     If ``aside`` is true, the recording's file has a temporary name until ``take_place`` is called. ``unfinished`` is
     the reason why a closed recording has no index; None for a recording that has an index or is open. ``RecordingFile``
-    raises RunDirectoryError if the file ``path`` exists. Methods raise SimulationFailure if writing fails.
+    raises RunDirectoryError if the file ``path`` exists. All methods raise SimulationFailure if writing fails.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
@@ -58,7 +58,7 @@ class RecordingFile:
         self._chunks.append(Chunk.from_columns(entity, [], columns.values()))
 
     def property(self, name: str, values: dict[str, Any]) -> None:
-        """Set a named property of a recording, a dictionary of values."""
+        """Store the dictionary ``values`` in the recording as a property with the given name."""
         self.static(join(PROPERTIES, name), rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:

@@ -115,7 +115,7 @@ Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the buffered numbers of all channels (recorded quantities) with a rerun entity, as rerun columns."""
+    """Yield the buffered numbers of all channels (recorded quantities) in the column format of rerun's SDK."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -132,13 +132,13 @@ def vector_columns(rows: Array) -> Any:
 
 
 def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-    """Yield the base's roll, pitch, and yaw, rad, as rerun columns."""
+    """Yield the base's roll, pitch, and yaw, rad, in the column format of rerun's SDK."""
     for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
         yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the poses of MuJoCo bodies as rerun columns. ``bodies`` maps a body's MuJoCo id to its rerun entity."""
+    """Yield MuJoCo body poses in the column format of rerun's SDK. ``bodies`` maps body ids to rerun entities."""
     position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
         yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
@@ -170,7 +170,7 @@ class Contacts:
 class VelocityArrows:
     """Draws arrows above the base for the commanded and the actual planar velocity.
 
-    ``command`` is the channel of the velocity command, and ``root`` is the MuJoCo id of the base. ``lift`` is the
+    ``command`` is the key of the recorded velocity command, and ``root`` is the MuJoCo id of the base. ``lift`` is the
     height of the arrows above the base, m, and ``scale`` is the arrow length in m per m/s.
     """
 
@@ -195,8 +195,8 @@ class Ground:
     """Draws a checkered ground patch that follows the robot in steps of whole tiles, so that the ground looks infinite.
 
     ``root`` is the MuJoCo id of the base. ``tile`` is the edge length of a ground tile, m. ``tiles``, the number of
-    tiles along an edge of the patch, must be even. ``origin`` is the point of the ground plane below the environment's
-    origin, m.
+    tiles along an edge of the ground patch, must be even. ``origin`` is the point of the ground plane below the
+    environment's origin, m.
     """
 
     root: int
@@ -205,7 +205,7 @@ class Ground:
     origin: Array
 
     def mesh(self, light: Sequence[int], dark: Sequence[int]) -> Any:
-        """Return the mesh of the ground patch, with the origin at the patch's centre."""
+        """Return the mesh of the checkered ground below the robot, with the origin at the centre of the mesh."""
         i, j = (axis.ravel() for axis in np.meshgrid(np.arange(self.tiles), np.arange(self.tiles)))
         corner = np.stack((i, j), axis=1) - self.tiles / 2
         square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])

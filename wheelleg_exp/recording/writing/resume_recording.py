@@ -25,12 +25,12 @@ _SCALARS = "Scalars:scalars"
 
 
 class EarlierRecording:
-    """Reads the rows of an earlier recording up to a control step, for a recorder that continues the recording.
+    """Reads an interrupted run's recording up to a control step, for a recorder that continues the recording.
 
-    An incomplete last message of the earlier recording is omitted. The earlier recording does not change. ``last``
-    contains the last control step and the last value of each counter of episodes or of an episode's control steps.
-    ``steps`` contains all control steps at which the counters were recorded. ``EarlierRecording`` raises
-    RunDirectoryError if the earlier recording is damaged or from another program.
+    An incomplete last message of the interrupted run's recording is omitted. ``EarlierRecording`` only reads files.
+    ``last`` maps each recorded counter (episode number, step within the episode) to its last control step and its last
+    value. ``steps`` maps each recorded counter to all control steps at which the counter was recorded.
+    ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:

@@ -51,7 +51,7 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # False for an actuator model whose controls depend only on joint targets.
+    reads_state: ClassVar[bool] = True  # ``reads_state=False`` means that controls depend only on joint targets.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 
@@ -78,7 +78,7 @@ class ActuatorBase(Stateful):
         """
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
-        """Find the actuator group's joints, and make parameter tensors; raise ConfigError if a joint has no value."""
+        """Find the actuator group's joints, and make parameter tensors; raise ConfigError if a parameter is missing."""
         expressions = f"{key}.joint_names_expr"
         indices, self.joint_names = match_names(self.joint_names_expr, joint_names, key=expressions, what="joint")
         self.joint_ids = torch.tensor(indices, device=device)
@@ -129,7 +129,7 @@ class ActuatorBase(Stateful):
         """Clear the actuator model's memory (such as delayed targets) in the environments ``env_ids``."""
 
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` of the delayed targets."""
+        """Return the actuator group's MuJoCo controls (N, joints) of a physics step, for the delayed joint targets."""
         delayed = targets if self.delay is None else self.delay.push(targets)
         return self._of_joints(self.control(delayed, data), "control")
 
@@ -151,7 +151,7 @@ class ActuatorBase(Stateful):
         raise NotImplementedError("an actuator model must define the method 'control(targets, data)'")
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the unclipped joint torques at the start of the last physics step, N·m, (N, joints of the group)."""
+        """Return the actuator group's unclipped torques at the start of the last physics step, N·m, (N, joints)."""
         raise NotImplementedError("an actuator model must define the method 'computed_torque(targets, data)'")
 
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:

@@ -31,7 +31,7 @@ Convention = Literal["world", "ros", "opengl"]
 CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Convention]
 DepthClipping = Literal["max", "zero", "none"]
 DEPTHS = ("depth", "distance_to_image_plane", "distance_to_camera")
-# The rotation from the axes of ``world`` to the axes of each convention, (w, x, y, z).
+# ``_FROM_WORLD`` has the rotation (w, x, y, z) from the axes of ``world`` to the axes of each convention.
 _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
     "world": (1.0, 0.0, 0.0, 0.0),
     "ros": (0.5, -0.5, 0.5, -0.5),
@@ -151,10 +151,10 @@ class Camera(LazySensor):
         body_name: expression of the body.
         width: px.
         height: px.
-        data_types: kinds of images: ``rgb`` (uint8, 3 channels), ``rgba``, ``distance_to_image_plane`` or ``depth`` (m,
-            along the camera's axis), ``distance_to_camera`` (m, along the pixel's ray), and int32
-            ``semantic_segmentation`` (ground or robot), ``instance_segmentation_fast`` (bodies),
-            ``instance_id_segmentation_fast`` (geoms).
+        data_types: kinds of images. ``rgb`` and ``rgba`` are uint8 colours. ``distance_to_image_plane`` or ``depth`` is
+            the distance along the camera's axis, m, and ``distance_to_camera`` the distance along the pixel's ray, m.
+            ``semantic_segmentation`` contains int32 ids of ground and robot, ``instance_segmentation_fast`` ids of
+            bodies, and ``instance_id_segmentation_fast`` ids of geoms.
         offset: the camera's position ``pos``, m, and orientation ``rot``, (w, x, y, z), in the body's frame, and
             ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
             up, in ``ros``; and along -z, with y up, in ``opengl``.
@@ -165,8 +165,8 @@ class Camera(LazySensor):
         vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
         fovy: vertical angle of view, rad, instead of the apertures; pixels are square.
         clipping_range: nearest and farthest visible distance along the axis, m.
-        depth_clipping_behavior: distance of a pixel that sees nothing. The value ``none`` gives inf, ``zero`` gives 0,
-            and ``max`` the largest distance.
+        depth_clipping_behavior: handling of too large distances. A pixel that sees nothing has the distance inf with
+            ``none``, 0 with ``zero``, and the largest distance with ``max``.
         max_num_envs: maximum number of environments, because each image takes milliseconds.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
@@ -210,7 +210,7 @@ class Camera(LazySensor):
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
         height, width = self.image_shape
-        # In MuJoCo, a positive principal length shifts the image's centre to the left and up.
+        # In MuJoCo, a positive ``principal_length`` of a camera shifts the image's centre to the left and up.
         lens: dict[str, Any] = {"focal_length": [self._focal_length] * 2, "sensor_size": self._aperture}
         lens["principal_length"] = [-self._focal_length * shift for shift in self._shift]
         pose: dict[str, Any] = {"pos": self._offset["pos"], "quat": opengl_quat(self._offset)}
@@ -264,7 +264,8 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        return self._numbers[kind][seen["geom"].long()]  # Geom id -1 means background and selects the last entry.
+        # Background pixels have the geom id -1, which selects the background's id at the end of ``_numbers[kind]``.
+        return self._numbers[kind][seen["geom"].long()]
 
     def state_dict(self) -> dict[str, Any]:
         return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
@@ -307,8 +308,8 @@ class RayCasterCamera(RayCaster):
             ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
             up, in ``ros``; and along -z, with y up, in ``opengl``.
         max_distance: longest ray, m.
-        depth_clipping_behavior: distance of a pixel that sees nothing. The value ``none`` gives inf, ``zero`` gives 0,
-            and ``max`` the largest distance.
+        depth_clipping_behavior: handling of too large distances. A pixel that sees nothing has the distance inf with
+            ``none``, 0 with ``zero``, and the largest distance with ``max``.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 

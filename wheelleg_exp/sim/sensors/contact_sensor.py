@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
 
-# The sizes of a contact's fields in MuJoCo's order; the normal component is the first component of the force.
+# ``_SIZES`` has the sizes of a contact's fields in MuJoCo's order; the normal force is the first force component.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
 FIELDS = tuple(_SIZES)
-NORMAL = ("found", "force", "normal")  # The names of the contact fields from which a sensor computes the normal force.
+NORMAL = ("found", "force", "normal")  # A sensor computes the normal force from the fields in ``NORMAL``.
 
 
 def width(fields: tuple[str, ...]) -> int:
@@ -36,16 +36,16 @@ def width(fields: tuple[str, ...]) -> int:
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
     """Return the sum over S contacts of normal force (N, B, 1, S) times contact normal (N, B, S, 3), (N, B, 3)."""
-    if pressures.is_cuda:  # On a GPU, a batched matrix product would be ten times slower than a sum.
+    if pressures.is_cuda:  # On a GPU, ``torch.matmul`` would take ten times longer than a product and a sum.
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
 
 
 class ContactPairs:
-    """Reads the contacts of B sensed bodies with M other bodies from the engine's sensor values, (N, B * M, S, W).
+    """Reads the contacts of B sensed bodies with M other bodies from the engine's sensor values.
 
-    The normal of each contact points away from the sensed body. ``fields`` selects some of the contact quantities in
-    ``FIELDS``.
+    ``readings`` (N, B * M, S, W) has W numbers for each of at most S contacts of a pair of bodies. The normal of each
+    contact points away from the sensed body. ``fields`` selects some of the contact quantities in ``FIELDS``.
     """
 
     def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
@@ -66,7 +66,7 @@ class ContactPairs:
     def points(self) -> torch.Tensor:
         """Return the mean contact position of each sensed body with each other body, m, (N, B, M, 3), or NaN."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # Sensor values without a contact are zero.
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # The sensor values of missing contacts are zero.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -103,7 +103,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # The force history, which is created when code first reads it.
+        self._history: torch.Tensor | None = None  # The first read of the force history creates its tensor.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None

@@ -152,7 +152,7 @@ class Imu(SensorBase):
         return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
 
     def _show(self, due: torch.Tensor | None) -> None:
-        """Measure in the environments of the mask ``due`` (None means all), and write the results to ``data``."""
+        """Write new measurements to ``data`` in the environments of the mask ``due``; None means all environments."""
         body = self._mount.rot_w
         rot = body @ self._turn
         velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)

@@ -111,7 +111,7 @@ class RayCaster(LazySensor):
 
     @property
     def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Origins of R rays, m, (R, 3), or (1, 3) if equal, and unit directions (R, 3), in the sensor's frame."""
+        """Origins (R, 3), m, and unit directions (R, 3) of the rays in the sensor's frame; equal origins are (1, 3)."""
         return self._starts, self._directions
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -133,7 +133,7 @@ class RayCaster(LazySensor):
     def _cast(
         self, ids: torch.Tensor | slice, pos: torch.Tensor, drift: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the rays' origins, m, directions (n, R, 3), and lengths, m, (n, R); a negative length means no hit.
+        """Return the rays' origins (n, R, 3), m, directions (n, R, 3), and lengths (n, R), m, negative without a hit.
 
         ``pos`` is the position of the sensor's body, m, (n, 3); ``drift`` has the sensor's position errors, m, (n, 6).
         """

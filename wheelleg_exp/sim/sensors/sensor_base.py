@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class SensorBase(Kept):
     """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
-    A subclass of the sensor class adds elements to the MuJoCo spec, and defines the method ``measure``, which measures.
+    A subclass adds elements to the MuJoCo spec, and defines the method ``measure``, which updates the sensor's data.
     The tensors of a sensor have the shape (N, ...) and are on the engine's device. The method ``state_dict`` must
     return everything that the sensor's later measurements depend on. The scene sets a sensor's ``name`` and ``terrain``
     before it calls the sensor's ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
@@ -68,7 +68,7 @@ class SensorBase(Kept):
         self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
 
     def update(self) -> None:
-        """After a physics step, measure in the environments in which the sensor's update period has passed.
+        """After a physics step, update the measurements of the environments whose update period has passed.
 
         As in Isaac Lab, each environment has its own timer, and the sensor measures in an episode's first step.
         """
@@ -81,7 +81,7 @@ class SensorBase(Kept):
         self._elapsed.masked_fill_(due, 0.0)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Measure in the environments of the mask ``due`` (N,); None means all environments.
+        """Update the measurements of the environments in the mask ``due`` (N,); None means all environments.
 
         ``elapsed`` is the time since the sensor's last measurement, s, (N,) or one number for all environments.
         """
@@ -95,11 +95,11 @@ class SensorBase(Kept):
 
     @property
     def measures_at_reset(self) -> bool:
-        """Whether ``refresh`` measures, which can change settings of the sensor."""
+        """Whether the method ``refresh`` updates measurements, which can change attributes of the sensor."""
         return True
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """After a reset, measure in the environments ``env_ids``, so that the first observation shows the new state."""
+        """After a reset, update the measurements of ``env_ids``, so that the first observation shows the new state."""
         new = env_ids[self._is_new[env_ids]]
         if len(new):
             due = torch.zeros_like(self._is_new).index_fill_(0, new, True)
@@ -114,7 +114,7 @@ class SensorBase(Kept):
     def find_bodies(
         self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of sensed bodies that expressions match; raise ConfigError if one matches none."""
+        """Return indices and names of matching sensed bodies; raise ConfigError if an expression matches no body."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def state_dict(self) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 
 
 class LazySensor(SensorBase):
-    """A sensor that measures only when ``data`` is read, at most once per state; its method ``sense`` measures.
+    """A sensor whose method ``sense`` takes a measurement when code reads ``data``, at most once per physics state.
 
     A lazy sensor with an update period stores its measurements. A lazy sensor with an update period measures at a reset
     and once after each period, even if nobody reads ``data``. Reading ``data`` never changes the results of a lazy
@@ -153,7 +153,7 @@ class LazySensor(SensorBase):
         self._data: Any = None
 
     def sense(self, ids: torch.Tensor | slice) -> None:
-        """Measure in the environments ``ids``; a slice means all environments."""
+        """Update the measurements of the environments ``ids``; a slice means all environments."""
         raise NotImplementedError("a lazy sensor must define the method 'sense(ids)'")
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
@@ -219,10 +219,10 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
 
 
 def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
-    """Make a property that reads the robot's attribute ``of_root`` for the root link, and ``of_bodies`` for others."""
+    """Make a property that reads ``of_root`` in the robot's data for the root link, ``of_bodies`` for other links."""
 
     def get(self: Mount) -> torch.Tensor:
-        # The root's pose and velocity are part of the state, but the engine must compute those of all other links.
+        # The root's pose and velocity are part of the state, but the engine must compute the motion of all other links.
         data = self._robot.data
         return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
 

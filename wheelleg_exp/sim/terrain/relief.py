@@ -36,8 +36,8 @@ class Tile:
 class HeightMap:
     """The layout of terrain tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
 
-    Between corners the surface is that of MuJoCo's height fields: two triangles per cell, which meet on the diagonal
-    from the cell's lowest to its highest x and y.
+    As in MuJoCo's height fields, the surface in a cell between four corners consists of two triangles. The triangles
+    meet on the diagonal from the cell's lowest to its highest x and y.
     """
 
     def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:
@@ -70,11 +70,11 @@ class HeightMap:
         return torch.where(inside, height, 0.0).to(xy.dtype)
 
     def heights_at(self, points: Array) -> Array:
-        """Return the ground's heights (...) at points (..., 2) as NumPy arrays, m; the map must be on the CPU."""
+        """Return the ground's heights (...), m, at points (..., 2), as arrays; the height map must be on the CPU."""
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # the margin that Isaac Lab uses when it assigns sub-terrains to columns
+_MARGIN = 0.001  # Isaac Lab uses the margin 0.001 when it assigns sub-terrains to columns.
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ class Layout:
 class Relief:
     """A generated ground, whose coordinates are relative to the ground's centre.
 
-    ``tiles`` are in order of rows. ``kinds`` (indices of the tiles' sub-terrains) and ``difficulties`` have the shape
-    (rows, cols), ``origins``, m, (rows, cols, 3). Flat ``patches``, m, have the shape (rows, cols, P, 3), by name.
+    ``tiles`` lists the tiles row by row, ``kinds`` (rows, cols) are the indices of the tiles' sub-terrains, and
+    ``origins`` (rows, cols, 3) are the tiles' origins, m. ``patches`` has P flat patches per tile, (rows, cols, P, 3).
     """
 
     tiles: Sequence[Tile]
@@ -109,7 +109,7 @@ class Relief:
 
 
 def make_relief(layout: Layout) -> Relief:
-    """Generate the ground, equally for equal arguments. Raise ConfigError if a terrain tile cannot be made."""
+    """Generate the ground; equal arguments give equal grounds. Raise ConfigError if a terrain tile cannot be made."""
     rng = np.random.default_rng(layout.seed)
     shape = (layout.num_rows, layout.num_cols)
     names, parts = list(layout.sub_terrains), list(layout.sub_terrains.values())
@@ -117,7 +117,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # A tile without flat patches of a name gets the tile's origin instead of each patch.
+    # If a tile's sub-terrain has no flat patches of a name, the tile's origin replaces the flat patches.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():

@@ -14,8 +14,8 @@ from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
 # Do not import annotations from __future__ here, because the fields' annotations must be types, not strings.
-# User-defined dataclasses in other modules inherit the annotations of this module.
-_POINTS = 10  # the number of points, on each ring around a flat patch, whose heights are compared, as in Isaac Lab
+# A user-defined subclass in another module inherits the annotations, and could not evaluate strings.
+_POINTS = 10  # As in Isaac Lab, the heights of ten points on each ring around a flat patch are compared.
 _ROUNDS = 1000
 
 
@@ -53,7 +53,7 @@ class FlatPatches(Kept):
         """Return flat patches (P, 3), m, relative to the tile's origin; raise ConfigError if too few patches exist.
 
         ``height_at`` returns the heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) is the
-        tile's origin, m, ``size`` has the tile's edge lengths, m, and ``key`` is the config key of the patches.
+        tile's origin, m, ``size`` has the tile's edge lengths, m, and ``key`` is the config key of the flat patches.
         """
         half, ranges = np.array(size) / 2, np.array([self.x_range, self.y_range])
         low = np.maximum(ranges[:, 0] + origin[:2], -half)
@@ -75,14 +75,14 @@ class FlatPatches(Kept):
         raise ConfigError(message, key=key, expected="a smaller patch_radius, a larger max_height_diff or wider ranges")
 
 
-EDGE = 1e-9  # a point at most this far outside of a tile's edge counts as inside the tile, m
+EDGE = 1e-9  # A point at most 1e-9 m outside of a tile's edge counts as inside the tile.
 
 
 @dataclass(frozen=True)
 class Grid:
     """The grid points of a tile's heights, m, relative to the tile's centre; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    ``half`` has half of the edge lengths of the area inside a tile's flat rim, m.
+    ``half`` contains half the edge lengths, m, of the area that a tile's flat rim encloses.
     """
 
     x: Array
@@ -95,7 +95,7 @@ class Grid:
         return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + EDGE
 
     def is_within(self, width: float) -> npt.NDArray[np.bool_]:
-        """Return a mask (nx, ny) of the grid points inside the central square of a tile, which has the given width."""
+        """Return a mask (nx, ny) of the grid points inside a square of edge ``width``, m, at the tile's centre."""
         return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE <= width / 2
 
 
@@ -121,7 +121,7 @@ class SubTerrain(Kept):
     boxes: bool = False
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the tile's heights at the grid points, m, (nx, ny); equal arguments must give equal heights.
+        """Return a tile's heights (nx, ny), m, at the points of ``grid``; equal arguments must give equal heights.
 
         The difficulty is 0 for the easiest and 1 for the hardest tile; ``rng`` is the ground's random generator.
         """
@@ -203,7 +203,7 @@ class PyramidSlope(SubTerrain):
 
 @dataclass(kw_only=True)
 class Waves(SubTerrain):
-    """Waves of height ``A / 2 (cos(k y) + sin(k x))``, with ``k = 2 pi num_waves / (edge of the tile along y)``.
+    """Waves ``A / 2 (cos(k y) + sin(k x))`` with the amplitude A, and ``k = 2 pi num_waves / (tile edge along y)``.
 
     Args:
         amplitude_range: the amplitude A of the easiest and the hardest tile, m; the heights are between -A and A.
@@ -223,8 +223,8 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The lattice of random heights starts at a tile's first point inside the flat rim. If the lattice of heights started
-    half a grid square earlier, each height would be the mean of four draws, with half of their standard deviation.
+    The first lattice point is the first grid point of a tile that the tile's flat rim encloses. If lattice points were
+    halfway between grid points, each height would be the mean of four draws, with half of a draw's standard deviation.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,19 +235,19 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return each point's lattice interval, each point's relative position in it, and the number of intervals."""
+    """Return the lattice point before each grid point, the fraction to the next lattice point, and the last index."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # Round the position, so that a point on the lattice gets exactly the height that was drawn at this point.
+    # Round ``place``, so that a grid point on a lattice point gets exactly the height drawn for the lattice point.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # the position of the second step between the platform (0) and the tile's edge (1), as in Isaac Lab
+_SECOND = 0.6  # As in Isaac Lab, the outer step or rail is at 0.6 of the way from the platform to the tile's edge.
 
 
 @dataclass(kw_only=True)

@@ -19,7 +19,7 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
-_FAR = 1e3  # the height at which vertical rays start, m
+_FAR = 1e3  # Rays that measure the ground's height start at a height of 1,000 m.
 
 
 class Probe:
@@ -50,7 +50,7 @@ class Probe:
 
 GROUND = "ground"
 TERRAIN_KEY = "env.scene.terrain"
-GROUND_GROUP = 0  # The geom group that is reserved for the ground.
+GROUND_GROUP = 0  # Geom group 0 is reserved for the ground.
 
 
 class TerrainBase(Kept):
@@ -159,8 +159,8 @@ class TerrainBase(Kept):
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
         """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
-        As in Isaac Lab, an environment moves from the last row to a random row, and from the first row never to an
-        easier tile. On a ground without tiles, moving environments has no effect.
+        As in Isaac Lab, an environment that moves up from the hardest row of tiles moves to a random row. In the
+        easiest row of tiles, an environment does not move down. Without tiles, the method has no effect.
         """
         if self.terrain_origins is None:
             return
@@ -185,7 +185,7 @@ class TerrainBase(Kept):
 
     @property
     def has_formula(self) -> bool:
-        """Whether ``height_at`` evaluates a formula; rays, the alternative, take longer."""
+        """Whether ``height_at`` evaluates a formula instead of casting rays, which takes longer."""
         return type(self).height_at is not TerrainBase.height_at
 
     def state_dict(self) -> dict[str, Any]:
@@ -207,7 +207,7 @@ def is_ground(name: str) -> bool:
 def grid_origins(num_envs: int, spacing: float, device: torch.device | None = None) -> torch.Tensor:
     """Return the origins (N, 3) of environments on a square grid around the world's origin, row by row.
 
-    As in Isaac Lab, ``rows = ceil(N / floor(sqrt(N)))``, x decreases with the row, and y increases with the column.
+    As in Isaac Lab, the grid has ``ceil(N / floor(sqrt(N)))`` rows; rows go towards -x, and columns towards +y.
     """
     rows = math.ceil(num_envs / math.floor(math.sqrt(num_envs)))
     cols = math.ceil(num_envs / rows)

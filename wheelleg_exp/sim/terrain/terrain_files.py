@@ -79,7 +79,7 @@ class _FromFile(TerrainBase):
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return ``start`` positions for the environments, m, (N, 3), used in turn, because robots never collide."""
+        """Return the environments' origins, m, (N, 3), the positions ``start`` in turn; two robots never collide."""
         del spacing
         start = torch.tensor(self._start, device=device)
         xy = start[torch.arange(num_envs, device=device) % len(start)]

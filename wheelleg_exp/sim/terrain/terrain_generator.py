@@ -47,7 +47,7 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        # Boxes are ``(i0, i1, j0, j1, top)``; use the one of two decompositions that has fewer boxes.
+        # Decompose the tile into boxes ``(i0, i1, j0, j1, top)`` in two ways, and use the way with fewer boxes.
         levels = np.unique(heights)
         apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
         nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
@@ -74,8 +74,8 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
             started[run] = i
 
 
-ORIGIN_WINDOW = 0.25  # the edge of a tile's central window as a share of the tile's edge
-_BYTES = 40  # the memory per grid square in NumPy, torch and MuJoCo, bytes
+ORIGIN_WINDOW = 0.25  # The edge of a tile's central window is a quarter of the tile's edge.
+_BYTES = 40  # NumPy, torch and MuJoCo together need 40 bytes per grid square of the ground.
 
 
 def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:

@@ -1,4 +1,4 @@
-"""Make a tree of bodies from a graph of joints: parents, poses at zero, and the joints that close loops.
+"""Make a spanning tree of bodies from a graph of joints, and find the joints that close kinematic loops.
 
 A MuJoCo equality constraint replaces a joint that closes a loop, if MuJoCo has an equality with the joint's effect.
 """
@@ -23,7 +23,7 @@ from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 @dataclass(eq=False)
 class Node:
-    """A body in the tree: its pose in the parent (None: the world) at zero, and the joint to the parent."""
+    """A body of the spanning tree; ``pose`` is relative to the parent (None: the world), with the joints at zero."""
 
     link: Link
     parent: Link | None
@@ -40,11 +40,11 @@ class Node:
 
     @property
     def joints(self) -> list[Joint]:
-        """All joints to the parent, outermost first: one, unless the file says that joints add up."""
+        """The joints between this body and its parent, outermost first; several if their degrees of freedom add up."""
         return [self.joint, *self.added] if self.joint else []
 
     def frame_in_body(self, joint: Joint) -> Frame:
-        """Return the frame of a joint in the frame of the node's body."""
+        """Return a joint's frame relative to the frame of the joint's child body."""
         return joint.frames[joint.side(self.link)]
 
 
@@ -78,15 +78,15 @@ HINGE_REACH = 0.05  # m
 
 
 def is_exact(joint: Joint) -> bool:
-    """Return whether equalities have the same effect as the joint: a weld, one hinge, or a ball."""
+    """Return whether MuJoCo equalities can have the same effect as the joint: a weld, a single hinge, or a ball."""
     return joint.welds or (len(joint.axes) == 1 and joint.axes[0].kind != "slide")
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return a loop's closing joint that no MuJoCo equality can replace, and the joint to open instead; or None.
+    """Return two joints of a kinematic loop that should open at the second joint instead of the first joint, or None.
 
-    The joint to open has no drive, and a MuJoCo equality can replace it. If several joints of the loop have no drive
-    and can be replaced, the one furthest from the root is returned.
+    MuJoCo has no equality that replaces the first joint. The second joint has no drive, and a MuJoCo equality replaces
+    the second joint. Of several joints without drives, the joint farthest from the root body is the second joint.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -164,7 +164,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
     The spanning tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from
-    the root. If no MuJoCo equality can replace the opened joint, a different joint of the loop is opened if possible.
+    the root. A loop does not open at a joint that no MuJoCo equality can replace if a different joint is possible.
 
     The base mode ``floating`` drops joints that fix a root to the world; ``fixed`` drops the free joint of the root.
     """
@@ -302,7 +302,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Treat each joint outside the spanning tree as a loop closure, or add it to the edge between its bodies."""
+        """Treat each joint outside the spanning tree as a loop closure, or as a further joint to a body's parent."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -328,5 +328,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether joints have MuJoCo's USD schema, with which the degrees of freedom of a body's joints add up."""
+    """Return whether all joints have MjcJointAPI; such joints of one body add their degrees of freedom."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

@@ -19,7 +19,7 @@ Root = tuple[Link, "Joint | None"]
 class Graph:
     """The graph of bodies and joints: the joints at each body; ``edges[None]`` are the joints to the world.
 
-    ``released`` are bodies whose joint to the world was dropped: they stay roots.
+    ``released`` are bodies whose joint to the world was dropped; these bodies stay roots of spanning trees.
     """
 
     links: Links
@@ -61,10 +61,10 @@ class Graph:
 
 
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
-    """Return the root bodies of the spanning trees, the most suitable body first.
+    """Return the root bodies of the spanning trees, in the order in which the spanning trees grow.
 
     The roots are, in this order: bodies with a joint to the world, bodies with ArticulationRootAPI, kinematic bodies,
-    PhysX's centre body of each floating articulation, and bodies that are no joint's child.
+    PhysX's centre body of each floating articulation, and bodies that are not the child of any joint.
     """
     marks = stage.articulation_prims
     roots: dict[str, Root] = {}
@@ -107,7 +107,7 @@ def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
-    """Yield the centre body of each floating articulation that does not contain a known root body."""
+    """Yield the most central body of each floating articulation that contains none of the bodies ``roots``."""
     reached: set[str] = set()
     for root in roots:
         if root.path not in reached:
@@ -127,10 +127,10 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 
 
 def centre(graph: Graph, part: list[Link]) -> Link:
-    """Return the centre body of a graph, which is the body with the smallest distance to its farthest body.
+    """Return the centre of a graph: the body from which the number of joints to the farthest body is smallest.
 
-    If a graph has several centre bodies, the function returns the centre body with the most joints. OpenUSD's physics
-    parser and PhysX use the centre body as the root of a floating articulation.
+    If several bodies of a graph are equally central, the body with the most joints is the centre. OpenUSD's physics
+    parser and PhysX also use the most central body of a floating articulation as its root.
     """
     order = {link.path: index for index, link in enumerate(_by_depth(graph, part[0]))}
     return min(
@@ -142,7 +142,7 @@ MANY = 200
 
 
 def _middle(graph: Graph, part: list[Link]) -> list[Link]:
-    """Return the candidates for the centre: the bodies that remain after cutting leaves, layer by layer."""
+    """Return the possible centres of a graph: the bodies that remain after repeatedly removing all leaves."""
     left = {link.path: link for link in part}
     around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
     degree = {path: len(others) for path, others in around.items()}

@@ -1,4 +1,4 @@
-"""Convert the edges of the body tree to degrees of freedom, and find the joint coordinates of the drawn pose."""
+"""Convert USD joints to degrees of freedom, and find the joint coordinates at which the USD file draws the robot."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return a body's degrees of freedom; a joint without a state in the USD file gets the state of the drawn pose.
+    """Return a body's degrees of freedom; joints without a saved state get the coordinates of the body's drawn pose.
 
-    A joint coordinate of zero outside the joint's limits is moved inside the limits, except in a robot with ``loops``,
-    which would open.
+    If zero is outside a joint's limits, the saved coordinate moves inside the limits. In a robot with ``loops``, the
+    saved coordinate stays zero, because moving one joint would open a kinematic loop.
 
     A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the
     converter negates the axis, and keeps the limits, targets, and gains.
@@ -49,7 +49,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
 
 
 def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
-    """Report a drawn pose that the joint cannot reach; use the nearest reachable pose as the saved joint state."""
+    """Report a body's pose in the USD file that the joint cannot reach; save the nearest reachable joint state."""
     assert node.joint is not None
     drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
     moved = zero.inverse() @ drawn
@@ -76,7 +76,7 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
-    """Return the joint coordinates that bring a body from its zero pose as near as possible to its drawn pose.
+    """Return the joint coordinates that bring a body as near as possible to the body's pose in the USD file.
 
     The coordinates of a ball joint, and of a body with several joints, stay zero.
     """

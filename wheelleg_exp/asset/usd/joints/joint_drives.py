@@ -74,7 +74,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return a drive's effort limit (N·m or N; infinite if unlimited); record a finding if it is not a real value."""
+    """Return ``effort``, and record a finding if a drive's effort limit is a placeholder such as a huge number."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# the values that PhysX uses for attributes of PhysxJointAxisAPI that the USD file does not set
+# PhysX uses the following values for attributes of PhysxJointAxisAPI that the USD file does not set.
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
@@ -183,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether an attribute agrees with the attribute ``winner`` in its value, or in its name except the axis."""
+    """Return whether an attribute has the value of the attribute ``winner``, or the same name for a different axis."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 

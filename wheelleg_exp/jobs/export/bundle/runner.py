@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 F = np.float32
-LARGEST = 2.0**64  # A sensor reading above this value counts as inf; sums of readings below this value cannot overflow.
+LARGEST = 2.0**64  # A sensor reading above 2**64 counts as inf; sums of smaller readings cannot overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
@@ -88,10 +88,10 @@ class Term:
         return x
 
     def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the measured travel minus the commanded travel, m and rad, clipped to the bounds of the term."""
+        """Return the robot's measured minus commanded distance (m) and heading (rad), clipped to maximum errors."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # The travel error is 0 in the first step after a reset.
+        if -1 in self.memory:  # Measured minus commanded travel is 0 in the first step after a reset.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
@@ -131,7 +131,7 @@ class Term:
             x = np.clip(x, F(self.spec["clip"][0]), F(self.spec["clip"][1]))
         x = x * self.arrays["scale"] if "scale" in self.arrays else x
         old = np.repeat(x[None], self.length, axis=0) if self.history is None else self.history
-        self.history = np.concatenate((old[1:], x[None]))  # samples, oldest first, (history_length, width)
+        self.history = np.concatenate((old[1:], x[None]))  # The history starts with the oldest sample.
         return self.history
 
 
@@ -163,9 +163,9 @@ class Policy:
         self.reset()
 
     def reset(self) -> None:
-        """Start an episode: the next readings fill every history, and rolling joints count from them."""
+        """Start an episode: the next sensor readings fill all histories, and wheel angles count from these readings."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # position of each rolling joint at the reset, minus its default
+        self.zero = np.zeros(len(self.default))  # ``zero`` is each wheel's angle at the reset minus the default.
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
@@ -187,13 +187,13 @@ class Policy:
         found = {name: np.asarray(value, F) for name, value in readings.items()}
         if "projected_gravity" not in found and "base_quat" in found:
             if found["base_quat"].shape != (4,) or not np.isfinite(found["base_quat"]).all():
-                raise ValueError("reading 'base_quat' must be 4 finite numbers: w, x, y, z")
+                raise ValueError("sensor reading 'base_quat' must be 4 finite numbers: w, x, y, z")
             found["projected_gravity"] = projected_gravity(found["base_quat"])
         for name, known in self.spec["readings"].items():
             if name not in found or found[name].shape != (known["width"],):
-                raise ValueError(f"reading '{name}' must be {known['width']} numbers: {known['meaning']}")
+                raise ValueError(f"sensor reading '{name}' must be {known['width']} numbers: {known['meaning']}")
             if not (np.abs(found[name]) < LARGEST).all():
-                raise ValueError(f"reading '{name}' contains a number that is not finite or too large")
+                raise ValueError(f"sensor reading '{name}' contains a number that is not finite or is too large")
         if self.steps == 0:
             self.zero = np.where(self.rolling, np.asarray(readings["joint_pos"], float) - self.default, 0.0)
         found["joint_pos"] = self.counted(readings["joint_pos"])
@@ -230,7 +230,7 @@ class Policy:
         return self.targets(joint_pos)
 
     def counted(self, joint_pos: Any) -> np.ndarray:
-        """Return joint positions (J,) as the policy sees them: rolling joints count from the reset."""
+        """Return the joint positions (J,) that the policy observes: angles of wheel joints count from the reset."""
         return (np.asarray(joint_pos, float) - self.zero).astype(F)
 
     def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
@@ -255,7 +255,7 @@ class Policy:
         return x
 
     def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the targets for newer joint positions: only relative targets differ from those of ``step``.
+        """Return the joint targets; joint positions change only the targets of relative actions (position plus action).
 
         Target positions of joints are clipped to the joint limits. Target velocities are clipped to the velocity limits
         of the motor drives.
@@ -271,11 +271,11 @@ class Policy:
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
-    """Return the largest differences between the runner's numbers and the numbers recorded in ``check.npz``.
+    """Return the largest differences between values that ``Policy`` computes and values recorded in ``check.npz``.
 
-    Each compared step starts from recorded values: observations from readings and last actions, actions from the
-    observation, and targets from the action. ``actions_float32`` is the difference between actions in float32, where
-    the order of a sum changes the rounding.
+    In each step, observations are computed from recorded readings and actions, actions from recorded observations, and
+    joint targets from recorded actions. The entry ``actions_float32`` compares the computed actions with the actions
+    that torch computed in float32, where the order of a sum changes the rounding.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
@@ -300,7 +300,7 @@ def largest_difference(found: Any, wanted: np.ndarray) -> float:
 
 
 def main(words: list[str]) -> int:
-    """Print the differences between computed and recorded numbers; return 1 if one is above its tolerance, else 0."""
+    """Print the differences that ``check`` returns; return 1 if a difference is above its tolerance, else 0."""
     limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
     status = 0
     for name, difference in check(onnx="--onnx" in words).items():

@@ -34,7 +34,7 @@ class Robot:
     def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
         self.spec = spec
         self.model = mujoco.MjModel.from_xml_path(str(scene))
-        self.model.opt.timestep = spec["physics_dt"]  # XML stores six digits of a number
+        self.model.opt.timestep = spec["physics_dt"]  # MuJoCo's XML file stores only six digits of the physics step.
         self.data = mujoco.MjData(self.model)
         self.commands: dict[str, np.ndarray] = {}
         joints = [self.model.joint(name) for name in spec["joint_names"]]
@@ -44,12 +44,12 @@ class Robot:
         self.drives = [(drive, [driven[name] for name in drive["joint_names"]]) for drive in spec["actuators"]]
         for drive, _ in self.drives:
             if drive["law"] not in LAWS:
-                raise SystemExit(f"simulate.py cannot simulate the drive '{drive['name']}', a {drive['class']}")
+                raise SystemExit(f"simulate.py cannot simulate the motor '{drive['name']}', a {drive['class']}")
         if not spec["root"]["floating"]:
             raise SystemExit("simulate.py cannot simulate this robot, because its base is fixed")
         missing = [name for name in spec["readings"] if name.endswith(".lin_acc")]
         if missing:
-            raise SystemExit(f"simulate.py cannot simulate the reading '{missing[0]}' of this policy")
+            raise SystemExit(f"simulate.py cannot simulate the sensor reading '{missing[0]}'")
         self.root = self.model.body(spec["root"]["body"])
         self.reset()
 
@@ -146,7 +146,7 @@ def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
 
 
 def main() -> int:
-    """Simulate the robot for the option ``--seconds``, and print the robot's tilt and height."""
+    """Simulate the robot for ``--seconds`` seconds, and print the robot's tilt and height."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="how long")
     parser.add_argument("--command", type=float, nargs="+", default=None, help="what is asked for; zeros by default")
