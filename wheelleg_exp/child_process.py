@@ -348,7 +348,7 @@ def running_program(
         stderr=subprocess.STDOUT,
         env=dict(environ),
         cwd=folder,
-        start_new_session=True,  # In its own session, the program does not receive Ctrl-C.
+        start_new_session=True,  # A program in its own session does not receive Ctrl-C from the terminal.
     )
     try:
         yield process

@@ -20,8 +20,9 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 class Constraint:
     """A requirement that the value of an annotated parameter must satisfy.
 
-    In an error message, the attribute ``form`` replaces the name of the expected type, for example by ``[low, high]``.
-    The attribute ``broken`` replaces the text that the value is out of range, and ``text`` follows the type's name.
+    An error message names ``form``, such as ``[low, high]``, instead of the name of the expected type. If ``broken`` is
+    not empty, an error message states ``broken`` instead of the text that the value is out of range. In an error
+    message, the constraint's ``text``, such as ``not empty``, follows the name of the expected type.
     """
 
     form: str = ""

@@ -1,7 +1,7 @@
 """Define every reported number, such as the mean return: its label, its unit, and its meaning.
 
-Commands, plots, reports, and pages show reported numbers with these labels and units. The module's sections define the
-numbers of a training, of evaluated episodes, of an interactive drive, and of a recording.
+Commands, plots, reports, and pages show each number with the label and the unit that this module defines. The module's
+sections define numbers about trainings, evaluated episodes, sessions in which a user steers the robot, and recordings.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ LISTED = {
         "Time from the start of the run to its end. For a resumed run: the sum of its iterations."),
 }  # fmt: skip
 
-# A run's manifest contains the following keys and the training scalars of the last iteration.
+# MANIFEST defines keys of a run's file manifest.json, which also contains the last iteration's training scalars.
 MANIFEST = {
     "results.iterations": Definition("iterations", "", "Number of finished iterations."),
     "results.seconds": Definition("seconds", "s",
@@ -147,7 +147,7 @@ MANIFEST = {
         "no episode of the environment has ended."),
 }  # fmt: skip
 
-# Training scalars whose keys start with these prefixes describe the result of a training.
+# The result of a training is the last value of each TensorBoard scalar whose key starts with a prefix in ENDED_AS.
 ENDED_AS = (
     *("Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/"),
     *("Metrics_per_step/", "Episode_Metrics/"),
@@ -182,7 +182,7 @@ ROLLOUT_ABOUT = (
     "`settle_s`, of all these episodes together: an episode that ends early counts with fewer steps. The label says "
     "after how many seconds."
 )
-# The command `wheelleg play` writes the following keys to the file figures.json and to the run's manifest.
+# ROLLOUT defines the keys that `wheelleg play` writes to the file figures.json and to the run's file manifest.json.
 ROLLOUT = {
     "episodes": Definition("episodes", "", "Number of episodes, one for each environment. Later ones do not count."),
     "unfinished": Definition("still running", "",
@@ -216,7 +216,8 @@ MOTION_ABOUT = (
     "The robot's motion and the load of its motors (`wheelleg play`), over the same control steps as height and pitch. "
     "If a figure has one value for each actuator group, its label names the group."
 )
-# The following keys in figures.json describe the robot's motion; the last three have a value per actuator group.
+# MOTION defines the keys in figures.json that describe the robot's motion and the load of its motors.
+# In figures.json, torque_rms_nm, at_limit, and sign_changes_per_s have one value for each actuator group.
 MOTION = {
     "drift_m": Definition("strayed from its place", "m",
         "Largest distance in the plane from the base's position at the settling time, mean over the episodes that "
@@ -239,7 +240,7 @@ CONTACTS_ABOUT = (
     "The contact force on each link of an agent's robot (`contacts`). Of all episodes and environments, the figures "
     "cover the control steps at least 0.2 s after a reset in which the robot is tilted by less than 0.2 rad."
 )
-# The following keys below `contacts.<sensor>` in figures.json describe the contact forces of a contact sensor.
+# CONTACTS defines the keys below `contacts.<sensor>` in figures.json, which describe a contact sensor's forces.
 CONTACTS = {
     "mean_n": Definition("mean", "N",
         "Mean size of the net normal force at the end of these steps; 0 without contact."),
@@ -258,7 +259,7 @@ def rollout_label(key: str, settle_s: float | None) -> str:
 
 
 def settled_window(settle_s: float | None) -> str:
-    """Return the covered part of an episode as text, such as ``after 1 s`` for a settling time ``settle_s`` of 1 s."""
+    """Return the label text of a number that skips an episode's first ``settle_s`` seconds, such as ``after 1 s``."""
     if settle_s is None:
         return "once settled"
     return f"after {settle_s:g} s" if settle_s else "from the start"
@@ -270,7 +271,7 @@ DRIVE_ABOUT = (
     "These figures cover one robot over all control steps of the drive, including its falls and restarts. There is one "
     "drive for each selected checkpoint and each selected ground."
 )
-# The following keys describe an interactive drive, in figures.json and in manifests of the kind `drive`.
+# DRIVE defines the keys in figures.json and manifest.json that describe a session in which a user steers the robot.
 DRIVE = {
     "duration_s": Definition("driven", "s", "Simulated time. Pauses, and the time for which falls are shown, are out."),
     "steps": Definition("control steps", "", "Number of control steps."),

@@ -17,7 +17,7 @@ EXIT_INTERRUPTED = 130
 _ODD = re.compile(r"[^\n\t -~]")
 # The Unicode categories of space characters that are harmless, although str.isprintable rejects them.
 _SPACES = ("Zs", "Zl", "Zp")
-# A wrong name of at least this length can match a longer valid name that contains the wrong name.
+# The minimum length of a wrong name for which an error suggests a longer valid name that contains the wrong name.
 _LEAST_PART = 4
 
 
@@ -77,7 +77,7 @@ class AssetError(WheellegError):
     """A robot file is unreadable or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return a copy of the error with a new ``key``; the copy's message contains the old ``key`` and ``where``."""
+        """Return a copy of the error with the key ``key``; the copy's message also names the old key and the file."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")
@@ -117,8 +117,8 @@ def _escaped(letter: str) -> str:
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the name among ``names`` that is most similar to ``name``, or None if no name is similar.
 
-    A name that differs from ``name`` only in case has priority over similar names. If no name is similar, the function
-    returns the shortest name that contains ``name``.
+    A name that differs from ``name`` only in case has priority over similar names. If ``names`` contains no
+    similar name, return the shortest element of ``names`` that contains ``name``.
     """
     listed = list(names)
     same = [other for other in listed if other.lower() == name.lower()]

@@ -23,7 +23,7 @@ from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_valu
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"
-# The constants are the largest sizes, in bytes, of files that are read completely into memory.
+# A file that is read completely into memory can have at most 1 GiB, a JSON file 64 MiB, and a YAML file 4 MiB.
 _LARGEST, _LARGEST_JSON, _LARGEST_YAML = 1 << 30, 1 << 26, 1 << 22
 
 

@@ -2,9 +2,9 @@
 
 A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
 declared packages are read from the installed distribution. A project that is not installed is used if the current
-folder is in the project, or if ``--config-dir`` names the project. The folder ``configs/`` of a used project is on
-Hydra's search path. A package that a used project declares is imported if a config names a function or class of the
-package in ``_target_``. Packages that a project does not declare cannot be imported from the project.
+folder is in the project, or if ``--config-dir`` names the project. Hydra reads config files from the folder
+``configs/`` of the user's project. A package that the user's project declares is imported if a config names a function
+or class of the package in ``_target_``. Packages that a project does not declare cannot be imported from the project.
 
 The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
 run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
@@ -70,11 +70,11 @@ def _trust_file() -> Path:
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
-# A folder with a file in ``_RECORDS`` was written by a command, so the folder is not a user project.
+# A folder that contains a file such as ``manifest.json`` is a run or sweep directory, not a user project.
 _RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")
 CONFIGS = "configs"
 _ROOT = 0  # the administrator's user id
-_SOURCES = ("", "src")  # A user project's root or its folder ``src`` contains the packages.
+_SOURCES = ("", "src")  # The packages of a user project are in its root folder or in its folder ``src``.
 
 
 @dataclass(frozen=True)
@@ -281,18 +281,18 @@ def forget(root: Path) -> None:
 
 
 def joined_packages() -> tuple[str, ...]:
-    """Return the names of the packages that ``join`` has allowed configs to call."""
+    """Return the names of the packages that are declared by the user projects passed to ``join``."""
     return tuple(_joined)
 
 
 def project_of(package: str) -> Project | None:
-    """Return the user project, added by ``join``, that declares a package with the top-level name of ``package``."""
+    """Return the user project that declares ``package``, or another package inside the same top-level package."""
     top = package.split(".")[0]
     return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
 
 
 def make_importable(target: str) -> None:
-    """If ``join`` has allowed configs to call the package of the path ``target``, make the package importable."""
+    """If a user project passed to ``join`` declares the package in the dotted path ``target``, make it importable."""
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
         return

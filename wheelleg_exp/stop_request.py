@@ -28,7 +28,7 @@ class StopRequest:
         self._before: dict[signal.Signals, signal._HANDLER] = {}
 
     def check(self, agreed: bool | None = None) -> None:
-        """Raise ``Interrupted`` after a stop request; ``agreed``, unless None, is true if any rank must stop."""
+        """Raise ``Interrupted`` if ``agreed`` is true; if ``agreed`` is None, raise it after a stop signal."""
         self._listen()  # Imported code can have replaced the signal handlers of this program.
         if self.requested if agreed is None else agreed:
             raise Interrupted

@@ -212,7 +212,7 @@ def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, on
 
 def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
     page, record = (written / "small.md").read_text(), json.loads((written / "small.json").read_text())
-    assert f"scenarios `{record['scenarios_sha256'][:16]}`" in page
+    assert f"SHA-256 `{record['scenarios_sha256'][:16]}" in page
     assert [word for word in ("| survival |", "\nwheelleg train env.num_envs=16 ") if word not in page] == []
     manifest = json.loads((written / "small" / f"{run.id}.json").read_text())
     assert manifest["files"]["model_2.pt"] == run.manifest().data["files"]["model_2.pt"]

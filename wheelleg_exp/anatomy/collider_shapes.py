@@ -69,8 +69,8 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
 class Overlap:
     """Two bodies, the parent first, whose colliders overlap; a motion by ``depth``, m, would separate them.
 
-    ``neighbours`` states whether a joint connects the two overlapping bodies. ``acts`` states whether the MuJoCo model
-    enables contacts between the two overlapping bodies.
+    The attribute ``neighbours`` of an overlap is true if a joint connects the overlapping bodies. The attribute
+    ``acts`` of an overlap is true if MuJoCo detects contacts between the overlapping bodies.
     """
 
     bodies: tuple[str, str]

@@ -68,9 +68,9 @@ class Balance:
     """The inverted pendulum that is equivalent to a robot on one axle.
 
     ``mass``, kg, and ``inertia`` about the axle, kg·m², are those of the robot without its wheels. ``height``, m, is
-    the distance from the axle to the centre of mass of the robot without its wheels. A tilt of the robot grows at the
-    exponential rate ``pole``, rad/s, if the wheels roll and are locked to the body. A tilt about a fixed axle grows at
-    the exponential rate ``pendulum``, rad/s, which is sqrt(m g h / I).
+    the distance from the axle to the centre of mass of the robot without its wheels. If all wheel joints are locked,
+    the robot rolls like one rigid body, and its tilt grows at the exponential rate ``pole``, rad/s. If the axle is
+    fixed in space, the robot's tilt grows at the exponential rate ``pendulum`` = sqrt(m g h / I), rad/s.
     """
 
     mass: float
@@ -94,7 +94,7 @@ class RobotFacts:
     standing_height: float
     clearance: float  # the height of the robot's lowest point in the start pose, m; negative below the ground
     friction: float  # the effective friction coefficient between wheels and ground
-    balance: Balance | None  # the equivalent pendulum; None for a robot that does not balance on one axle
+    balance: Balance | None  # an inverted pendulum that falls like the robot; None for a robot without exactly one axle
 
     @property
     def weight(self) -> float:
@@ -267,8 +267,8 @@ def compiled_robot(
 ) -> tuple[CompiledRobot, RobotFacts]:
     """Return the robot of a compiled scene, and the facts that are measured on this robot.
 
-    ``driven`` contains the joints that have a drive in the robot file, or is None if no joint has a drive. If the
-    robot's config has actuators, ``compiled_robot`` ignores ``driven``.
+    ``driven`` contains the joints that have a drive in the robot file, or is None if no joint has a drive. The argument
+    ``driven`` (the joints with a motor) has no effect if the robot's config defines actuators.
     """
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None

@@ -14,8 +14,8 @@ from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
 TURNS = 3 * math.pi  # The range, rad, above which the hinge of a wheel counts as unlimited.
 LEVEL = 0.5  # The largest vertical component of the unit vector along a horizontal axle.
-_ROUND = 0.9  # The smallest ratio of a wheel's smallest radius to its largest radius, as in a regular heptagon.
-_ROUGH = 0.6  # The smallest ratio of a body's smallest to largest radius, if its masses are distributed as in a wheel.
+_ROUND = 0.9  # A body counts as round if its smallest radius is at least 90 % of its largest radius.
+_ROUGH = 0.6  # A body never counts as round if its smallest radius is below 60 % of its largest radius.
 _LOW = 0.4  # The largest height of a wheel's lowest point, as a share of the robot's height.
 _OFF_AXIS = 0.05  # The largest distance of a wheel's round outline from its hinge, as a share of the wheel's radius.
 _SMALLEST = 1e-3  # m, radius
@@ -211,7 +211,7 @@ def find_mirrored(
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
                 # ``tilt`` is the angle, rad, between the mirrored axis of one joint and the axis of a second joint.
-                # ``sign`` is -1 if the mirror image of a positive rotation is a negative rotation of the second joint.
+                # ``sign`` is -1 if a positive motion of one joint mirrors a negative motion of the other joint, else 1.
                 # A mirror matrix M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])

@@ -15,11 +15,11 @@ from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
 _PARALLEL = 0.9  # The smallest share of parallel axles for which a robot has a forward direction.
-# A wheel with a smaller cosine between its rolling direction and the robot's forward axis has the sign 0.
+# A wheel's sign (1: rolls forwards, -1: backwards) is 0 if the wheel rolls at more than about 60° to forward.
 _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # The largest distance of a middle wheel from the robot's middle, as a share of the track width.
 _LEVEL_WITH = 0.03  # The largest height of a supporting wheel above the lowest wheel, as a share of the robot's size.
-_AHEAD = 0.3  # The first component of the forward direction whose absolute value reaches _AHEAD is positive.
+_AHEAD = 0.3  # The forward direction has x > 0 in the base frame or, if |x| is below 0.3, a positive y or z.
 _TRAILS = 0.1  # The smallest distance of a caster's contact from its steering axis, as a share of the wheel radius.
 
 

@@ -23,12 +23,12 @@ _STEPS = 40  # iterations from each start
 _MARGIN = 0.08  # The smallest distance of a joint from its limits in a standing pose, as a share of the joint's range.
 # The hip heights above which legs are stretched and below which legs are crouched, as shares of the largest height.
 _STRETCHED, _CROUCHED = 0.93, 0.35
-# The hip heights that replace those of stretched and of crouched legs, as shares of the largest hip height.
+# Stretched legs are moved to 80 % of the largest hip height, and crouched legs to 55 % of the largest hip height.
 _STANDS = (0.8, 0.55)
-_CLEARANCE = 0.5  # The smallest height of all links except wheels above the ground, as a share of the wheel radius.
+_CLEARANCE = 0.5  # In a standing pose, only wheels should be less than half a wheel radius above the ground.
 _REACH = math.pi  # The largest rotation, rad, of an unlimited joint in the search for a standing pose.
 _BALANCED = 5e-3  # The largest distance of a balanced centre of mass from the axle, as a share of the robot's size.
-_TOUCHES = 2e-3  # The largest height of a touching wheel above the lowest wheel, as a share of the robot's size.
+_TOUCHES = 2e-3  # A wheel touches the ground if it is at most 0.2 % of the robot's size above the lowest wheel.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
@@ -109,7 +109,8 @@ class _Problem:
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
-        self.rest = overlap_depths(model, self.data, self.bodies)  # Two bodies can overlap as in the initial pose.
+        # A standing pose can have the same overlaps of bodies as the initial pose, but no deeper overlaps.
+        self.rest = overlap_depths(model, self.data, self.bodies)
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -136,7 +137,7 @@ class _Problem:
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
-        """Choose the hip height of the preferred pose, or a default height for stretched or fully folded legs."""
+        """Choose the initial pose's hip height, or a default height if the initial pose stretches or folds the legs."""
         self.at(self.preferred)
         now = self._height()
         heights = []
@@ -168,7 +169,7 @@ class _Problem:
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
     def residual(self, positions: Array) -> Array:
-        """Return the weighted, dimensionless residuals of a leg pose for the least-squares problem."""
+        """Return the weighted, dimensionless errors of a leg pose; the search for a pose minimises their squares."""
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
@@ -177,8 +178,8 @@ class _Problem:
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
-        # The residual weights are largest for closed loops and ground contact, and smallest for a natural pose.
-        # The residual of balance has a smaller weight on several axles, because several axles support the robot.
+        # The weight is largest for errors of closed kinematic loops and smallest for deviations from the initial pose.
+        # A robot with several axles does not fall, so its balance error has a smaller weight than with one axle.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
         # The distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0

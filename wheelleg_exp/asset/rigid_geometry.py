@@ -80,7 +80,7 @@ def rotation_matrix(quat: Quat) -> Array:
 def quaternion(matrix: Array) -> Quat:
     """Return the quaternion (w, x, y, z) of a rotation matrix, w not negative (Shepperd's method)."""
     m = matrix
-    # Dividing by the quaternion's largest component gives the smallest rounding error.
+    # Compute the quaternion times its largest component, because this product has the smallest relative rounding error.
     diagonal = [np.trace(m), m[0, 0], m[1, 1], m[2, 2]]
     largest = int(np.argmax(diagonal))
     if largest == 0:
@@ -327,7 +327,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
     body = spec.worldbody.add_body()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
-    # The mesh was scaled to unit size, so powers of its original size scale its volume, centre, and inertia back.
+    # MuJoCo compiles the mesh at unit size, so multiply its volume, centre, and inertia by powers of the original size.
     model = spec.compile()
     axes = rotation_matrix(tuple(model.body_iquat[1]))
     inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T

@@ -309,7 +309,7 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # Each pass of the loop prepends one more parent's name to each repeated name, so unique names stay short.
+    # While several prims share a name, the loop prepends the name of one more parent prim to the shared name.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]

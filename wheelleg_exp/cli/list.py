@@ -268,7 +268,7 @@ def _percent(value: Any) -> str | None:
 
 
 def _survived(played: Mapping[str, Any]) -> str | None:
-    """Return the surviving and ended episodes of a ``wheelleg play`` as ``60/64``; without counts, a survival rate."""
+    """Return the share of surviving episodes of a ``wheelleg play``: a fraction such as ``60/64``, or a percentage."""
     survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
     if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
         return _percent(survival)

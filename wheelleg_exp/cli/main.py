@@ -39,7 +39,7 @@ class Command:
 
     module: str
     help: str
-    run: str = "run"  # The name of the module's function that runs the command-line command.
+    run: str = "run"  # The name of the function in the command's module that runs the command.
     project: bool = True  # True if the command-line command reads configs of the user project in the current folder.
 
 

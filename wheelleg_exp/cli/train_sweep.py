@@ -112,7 +112,7 @@ def _crowded(sweep: Sweep, at_once: int) -> str | None:
     """Return a warning if the sweep jobs on this machine use more threads than the machine has cores."""
     from wheelleg_exp.config.composing.compose_sweep import QUEUES
 
-    # A job queue such as Slurm runs the jobs on other machines or limits the number of cores for each job.
+    # A job queue such as Slurm runs a sweep's jobs on other machines, or limits the number of cores for each job.
     if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":
         return None
     cores = int(_joblib().cpu_count())

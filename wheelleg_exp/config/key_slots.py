@@ -36,7 +36,7 @@ EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"
 # Config keys that rsl_rl reads, although no constructor of rsl_rl has parameters with the names of the keys.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# For example, the parameter command_name of a term in any section ("") names a term of the section commands.
+# An empty section name stands for all sections: in every term, `command_name` is the name of a term in `env.commands`.
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",

@@ -127,7 +127,7 @@ PHYSICS_RULES: tuple[str, ...] = (
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether ``root`` leaves the keys of the section ``path`` open, so that ``OPTIONS`` defines these keys."""
+    """Return whether a dataclass in ``OPTIONS``, not the dataclass ``root``, defines the keys of a config section."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 

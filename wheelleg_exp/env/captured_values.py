@@ -25,7 +25,7 @@ _MOST_KNOWN = 64  # numbered combinations of settings
 
 
 class Values:
-    """All attribute values that methods captured as CUDA graphs can read or write in an environment's objects.
+    """All attribute values of an environment's objects that CUDA graphs of the environment's step depend on or change.
 
     A number or text that a method captured as a CUDA graph changes is a *flag*; every other number or text is a
     *setting*. Flags (attributes that a captured method changes) are read before each replay of a CUDA graph. The many
@@ -53,7 +53,7 @@ class Values:
         self._number, self._numbers = -1, itertools.count()
 
     def objects(self) -> Iterator[Any]:
-        """Yield every environment object whose attributes a method captured as a CUDA graph may read or write."""
+        """Yield the environment and the objects in its attributes, except event terms that no CUDA graph contains."""
 
         def children(name: str, node: Any) -> Iterator[tuple[str, Any]]:
             return iter(()) if _runs_outside(node) else parts(name, node)
@@ -61,7 +61,7 @@ class Values:
         return (node for _, node in walk([("env", self._root)], children) if not _runs_outside(node))
 
     def slots(self) -> Iterator[Slot]:
-        """Yield every slot (attribute, or entry of an attribute) that a method captured as a CUDA graph may access."""
+        """Yield each attribute of the environment's objects, and each entry of a dictionary or list in an attribute."""
         return (slot for node in self.objects() for slot in slots(node))
 
     def key(self) -> Key:
@@ -72,7 +72,7 @@ class Values:
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Treat the attributes ``found`` as flags, which captured methods change; return whether a flag is new."""
+        """Compare the attributes ``found`` before each later replay of a CUDA graph; return whether one is new."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -82,7 +82,7 @@ class Values:
         return bool(new)
 
     def difference(self, before: Key, now: Key) -> str:
-        """Return the name of an attribute whose values differ between two results of ``key``."""
+        """Return the name of an attribute whose value differs between the CUDA graph keys ``before`` and ``now``."""
         (old, old_flags), (new, new_flags) = before, now
         known = {number: settings for settings, number in self._known.items()}
         pairs = [*zip(self._settings, known.get(old, ()), known.get(new, ()), strict=False)]
@@ -104,7 +104,7 @@ class Values:
         except LookupError:
             self._find_settings()
             now = self._present
-        # Attribute values are first compared by identity, which is fast, and after a change by value.
+        # Compare object identities first, because this comparison is faster than a comparison of attribute values.
         if self._present is before and all(map(operator.is_, now, before)):
             return
         changed = zip(before, now, strict=True) if self._present is before else ()
@@ -127,7 +127,7 @@ class Values:
             if is_plain(value) or isinstance(value, tuple):
                 self._settings.append(slot)
                 places[id(slot.container), slot.path[-1]] = slot.container, slot.path[-1]
-                # If a dictionary or list is replaced, its entries can change, so also compare dictionaries and lists.
+                # Record dictionaries and lists too, to detect that an attribute has got another dictionary or list.
                 places |= {(id(parent), key): (parent, key) for parent, key, _ in slot.containers}
         self._places = list(places.values())
         self._present = [container[key] for container, key in self._places]
@@ -155,14 +155,14 @@ class Values:
                 slot.set(static)
 
     def undeclared(self) -> Iterator[tuple[tuple[int, str], tuple[str, Any]]]:
-        """Yield the attributes of manager terms that are not tensors, numbers, or texts, by term and attribute."""
+        """Yield a copy of each attribute of each manager term, with None in place of tensors, numbers, and texts."""
         for term in self.objects():
             if isinstance(term, TermBase):
                 for name, value in list(vars(term).items()):
                     yield (id(term), name), (f"'{name}' of {type(term).__name__}", _undeclared_in(value))
 
     def undeclared_changes(self, before: Mapping[Any, Any]) -> Iterator[str]:
-        """Yield the name of each term attribute whose value differs from an earlier result of ``undeclared``."""
+        """Yield the name of each attribute of a manager term that differs from the attribute's copy in ``before``."""
         for key, (name, now) in self.undeclared():
             if key in before and not same(now, before[key][1]):
                 yield name

@@ -129,9 +129,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         push.
 
         ``step`` returns observations by group, reward (N,), terminated (N,), truncated (N,), and extras. If an
-        environment's physics or reward is NaN or inf, its episode terminates with reward 0. In this case,
-        ``extras["non_finite"]`` contains the config keys of the failed reward terms or of the failed physics. Raise
-        SimulationFailure if an observation or a number that an event wrote is NaN or inf.
+        environment's physics or reward is NaN or inf, its episode terminates with reward 0. The entry
+        ``extras["non_finite"]`` names the reward terms or the physics that produced NaN or inf. Raise SimulationFailure
+        if an observation or a number that an event wrote is NaN or inf.
         """
         skipped = self._skipped()
         self._act(action)

@@ -1,18 +1,18 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
-The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. If CUDA graphs
-are not captured, each call of a marked method runs the method's Python code. ``GraphCapture`` runs a marked method a
-few times, records the method as a CUDA graph, and then replays this graph.
+The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. Without CUDA
+graphs, a method decorated with ``captured_part`` runs as Python code. ``GraphCapture`` runs a decorated method a few
+times, records the method as a CUDA graph, and then replays this graph.
 
-A CUDA graph repeats kernels on fixed memory and does not run Python. ``GraphCapture`` must find the attributes that the
-Python code of a method captured as a CUDA graph reads and writes. The contract for the objects that a captured method
-uses (terms, managers, robot, sensors) is:
+A CUDA graph repeats kernels on fixed memory and does not run Python. A replay skips Python assignments, so
+``GraphCapture`` must know all attributes that the recorded method reads and writes. The contract for the objects that a
+captured method uses (terms, managers, robot, sensors) is:
 
 - **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A captured method may write to a
   tensor, or assign a new tensor of equal shape to an attribute.
 - **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, a CUDA graph that was
-  recorded with the old value is not replayed. Each combination of attribute values that occurs often has its own CUDA
-  graph.
+  recorded with the old value is not replayed. ``GraphCapture`` records a separate CUDA graph of a method for each
+  frequent combination of the environment's attribute values.
 - A captured method may also change a number or text, if the new value depends only on the old numbers and texts.
 - All other values that a captured method changes are undeclared: a number that counts up, a growing list, a deque, a
   tuple of tensors, a module, or a foreign object. A method that changes undeclared values (such as a counter or a list)
@@ -55,9 +55,9 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
     """Mark a method of the environment's step that may be captured as a CUDA graph.
 
-    If ``to_caller`` is true, the result of the marked method is returned to the environment's caller. A result for the
-    environment's caller is copied out of the memory of the CUDA graph. The environment's caller may change attributes,
-    so all attribute values are checked for changes before the next replay.
+    If ``to_caller`` is true, ``GraphCapture`` copies the result of the decorated method out of the CUDA graph's memory,
+    because the environment's caller receives this result. The environment's caller may change attributes, so
+    ``GraphCapture`` compares all attribute values before it replays the next CUDA graph.
     """
 
     def decorate(method: Method) -> Method:
@@ -132,7 +132,7 @@ class CudaGraph:
             # Random generators of a failed capture are blocked until a later capture ends, so capture one kernel here.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # The error of ``work`` names the failed manager term.
+            cause = (failed or [error])[0]  # Raise the Python method's own error, which names the failed manager term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -253,9 +253,9 @@ class CapturedPart:
     """One method of the environment's step, and the CUDA graphs recorded from it.
 
     The function ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of
-    environments that a reset resets differs from call to call. ``values`` finds the environment's attribute values, and
-    is shared by all captured methods of the step. The function ``reset_caches`` is called before every run and drops
-    cached quantities. ``streams`` returns all random streams.
+    environments that a reset resets differs from call to call. All methods captured from one environment share the
+    object ``values``, which reads the environment's attributes. The function ``reset_caches`` is called before every
+    run and drops cached quantities. ``streams`` returns all random streams.
     """
 
     def __init__(
@@ -287,7 +287,7 @@ class CapturedPart:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # Drop all recorded CUDA graphs, because their keys lack the values of attributes that were found later.
+            # A newly detected changing attribute is missing in the keys of older CUDA graphs, so delete these graphs.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -306,7 +306,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # A capture that found another changing attribute has an incomplete key, so do not store its CUDA graph.
+                # If the recorded method changed an attribute that ``key`` lacks, do not store the CUDA graph.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -337,17 +337,16 @@ class CapturedPart:
         """Return whether the attribute values ``key`` occur often enough to record a CUDA graph for these values."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # Replace the least used CUDA graph only for attribute values that occur at least twice as often.
+        # Replace a CUDA graph only if new attribute values occur at least twice as often as the graph's values.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Drop a CUDA graph into whose memory the present tensors cannot be copied.
+        """Delete the CUDA graph ``key``, because its memory does not fit the tensors in the attributes ``unfit``.
 
-        The shapes and types of these tensors become part of the keys, so that the next CUDA graph is replayed only for
-        equal shapes and types.
+        The shapes and types of the tensors in the attributes ``unfit`` become part of the keys of later CUDA graphs.
         """
         del self.recordings[key]
         self._values.add_flags(unfit)

@@ -67,9 +67,10 @@ class Pendulum:
         """Return the matrices A (4, 4) and B (4, 1) of the model with the state [position, pitch, speed, pitch rate].
 
         The pendulum model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative
-        to the body, so the armature cancels. With the wheel speed w, the pitch θ, and the axle's speed v = r (w + θ'),
-        the equations of motion are ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``. I is
-        ``inertia``, m is ``mass``, h is ``height``, r is ``radius``, m_w is ``rolling``, and τ is the wheel torque.
+        to the body, so the armature cancels. With the wheel speed w, the wheel torque τ, the pitch θ, and the axle's
+        speed v = r (w + θ'), the equations of motion are ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ''
+        = τ / r``. The symbols I, m, h, r, and m_w in the equations of motion are the attributes ``inertia``, ``mass``,
+        ``height``, ``radius``, and ``rolling``.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -144,11 +145,11 @@ class Reference:
     heading. All joints but the wheels stay at their default positions. The robot's target position moves at the
     commanded speed, so that the LQR corrects position errors.
 
-    An integrator estimates the pitch at which the robot balances. The balanced pitch depends on the centre of mass, on
-    external forces, and on the slope of the ground. The integrator's input is the measured pitch acceleration minus the
-    pitch acceleration that the linear model predicts. The integrator's time constant is that of the unstable pole. In
-    balance, the measured and the predicted pitch acceleration are equal, so the position has no steady-state error.
-    Commands do not wind up the integrator, because the linear model predicts the effect of commands.
+    An integrator with the time constant of the robot's unstable pole estimates the pitch at which the robot balances.
+    The balanced pitch depends on the centre of mass, on external forces, and on the slope of the ground. The estimate
+    of the balanced pitch integrates the measured pitch acceleration minus the pitch acceleration that the linear model
+    predicts. In balance, the measured and the predicted pitch acceleration are equal, so the position has no
+    steady-state error. Velocity commands cause no integrator windup, because the linear model predicts their effect.
     """
 
     name = "reference"

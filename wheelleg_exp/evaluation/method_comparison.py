@@ -76,7 +76,7 @@ class Difference:
     Attributes:
         metric: ``group/metric``.
         unit: unit of all numbers.
-        better: ``higher``, ``lower``, or empty; empty for maxima over episodes, for which no statistical test is valid.
+        better: whether ``higher`` or ``lower`` is better; empty for maxima and for metrics without a better direction.
         first: mean over the trainings of the method in question.
         second: mean over the trainings of the other method.
         interval: first minus second, with its bootstrap interval.
@@ -97,8 +97,9 @@ class Difference:
     def outcome(self) -> str:
         """The word ``better`` or ``worse`` if two methods differ significantly in a metric, or else an empty text.
 
-        A difference is significant if the corrected p value is below ``ALPHA``, and the test has the same sign as the
-        difference of the means. A difference without a test is significant if its confidence interval excludes 0.
+        A difference is significant if the corrected p value is below ``ALPHA``, and the test and the difference of the
+        means have equal signs. Without a statistical test, a difference of two methods is significant if its confidence
+        interval excludes 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
@@ -141,7 +142,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
 
     The episodes of one training seed are not independent samples of the method. The bootstrap resamples first training
     seeds, and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). With a single
-    training seed, the function returns the bootstrap values of this seed without resampling.
+    training seed, ``clustered_means`` returns the finite values of ``drawn`` without resampling.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -149,7 +150,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # Repeat each seed's bootstrap values up to the same length; the random indices never select a repeated value.
+    # Pad each seed's bootstrap values to equal lengths by repetition; the resampling below draws no repeated value.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -369,10 +370,10 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     else:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     text = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
-    ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
+    ratios = [f"{row.second / row.first:.2g} for {_push(kind)}" for kind, row in limits if row.first]
     text += (
-        f" {second[0].upper()}{second[1:]}, the second method, survives {' and '.join(ratios)} that the first method,"
-        f" {first}, survives."
+        f" {second[0].upper()}{second[1:]}'s strongest survived disturbance, divided by that of the method {first},"
+        f" is {' and '.join(ratios)}."
         if ratios
         else ""
     )

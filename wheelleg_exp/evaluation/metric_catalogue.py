@@ -81,7 +81,7 @@ def area(columns: Sequence[Array], band: float) -> Array:
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Return the lowest ``of(values)`` over groups of episodes; ``columns`` are each episode's group and value."""
+    """Return the lowest mean or median (``of``) of all groups of episodes, given each episode's group and value."""
     cell, value = columns
     with warnings.catch_warnings():
         # A bootstrap resample can lack all episodes of a command, and numpy warns about the mean of an empty array.
@@ -217,7 +217,7 @@ def percentiles(drawn: Array) -> tuple[float, float]:
 
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return the metrics of a test whose columns are in ``columns``; ``protocol`` contains tolerance bands."""
+    """Return the metrics of a test that can be computed from ``columns``, with tolerance bands from ``protocol``."""
     options = protocol.get(test) or {}
     if test == "walk":
         found = _of_walking(columns, float(options.get("band", 0.1)))

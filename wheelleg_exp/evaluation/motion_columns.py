@@ -194,9 +194,9 @@ def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
     """Return the steady-state velocity errors, and whether they are within the tolerance band; (N,) each.
 
     ``off_vx`` and ``off_wz`` are the absolute errors of the mean forward speed and the mean yaw rate as shares of the
-    command; inf after a fall. For a zero command, the errors are shares of the smallest nonzero command.
-    ``in_band`` is 1 if ``off_vx`` and ``off_wz`` are at most ``options.band``, else 0. ``sign_<axis>`` is 1 if the
-    robot did not fall and moves in the commanded direction, else 0.
+    command; inf after a fall. If a velocity command is zero, the velocity error is divided by the smallest nonzero
+    command. ``in_band`` is 1 if the robot did not fall and both velocity errors are at most ``options.band``, else 0.
+    ``sign_<axis>`` is 1 if the robot did not fall and moves in the commanded direction, else 0.
     """
     found: Columns = {}
     good = ~made.fell

@@ -189,7 +189,7 @@ def _numbers(columns: Columns) -> dict[str, Array]:
 
 
 def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
-    """Return columns with the test, the number, the command, and the cause of the end of each episode."""
+    """Return columns that contain each episode's test, scenario, number in the scenario, command, and failure cause."""
     table = rollout.scenarios
     cell = table.cell_of()
     # In the step test, every episode starts with a zero command, so store the second command of the episode.

@@ -28,7 +28,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # On a larger tile, the start window keeps its size in m, because the floor of a pit keeps its size as well.
+    # On larger tiles, the central area in which robots start must not grow, because a pit's floor does not grow either.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -124,8 +124,8 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 class Phases(NamedTuple):
     """Masks (T, N) of T control steps in which N robots are before, on, and behind a strip of rough ground.
 
-    A robot that rolls back onto or off the strip of rough ground does not return to the earlier phase. ``before``
-    covers the last ``quiet_s`` seconds before a robot reaches the strip of rough ground.
+    A robot that reached or crossed the strip of rough ground counts as on or behind the strip, even if the robot rolls
+    back. ``before`` covers the last ``quiet_s`` seconds before a robot reaches the strip of rough ground.
     """
 
     before: torch.Tensor
@@ -147,12 +147,12 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     """Return columns (N,) on how each robot crosses a strip of rough ground; NaN for a robot that does not reach it.
 
-    The function ``ways`` defines the columns ``distance_ratio`` and ``success``. ``error_vx_<where>`` is the RMS of v_x
-    - c, where c is the commanded speed. ``swing_rad_<where>`` is the RMS difference between a robot's pitch and its
-    mean pitch before the rough ground. The mean pitch is subtracted from the pitch, because robots balance at different
-    pitches. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing over the next
-    ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most ``quiet_floor``.
-    ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
+    The function ``ways`` defines the columns ``distance_ratio`` and ``success``. ``error_vx_before``, ``error_vx_on``,
+    and ``error_vx_behind`` are the RMS errors of the forward speed before, on, and behind the strip of rough ground.
+    ``swing_rad_before``, ``swing_rad_on``, and ``swing_rad_behind`` are the RMS deviations of the pitch from the
+    robot's mean pitch before the strip. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing
+    over the next ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most
+    ``quiet_floor``. ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)

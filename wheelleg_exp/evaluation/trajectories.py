@@ -26,11 +26,11 @@ class EffortMeter(SensorBase):
     is a joint's torque times the mean of its speeds before and after the physics step. The net power excludes the
     torque I_a q̈ that only accelerates the armature, and whose work is exactly the armature's kinetic energy.
 
-    An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. A torque below the
-    share ``deadband`` of the limit causes no sign change. ``dt`` is the physics step, s. ``gross``, ``net``,
-    and ``positive`` are sums of work over a control step, J, (N,), and ``peak`` is the largest positive power of all
-    joints, W, (N,). For each joint (N, J), ``saturated`` is the number of physics steps at the effort limit,
-    ``squares`` is the sum of squared torques, and ``sign_changes`` counts the changes of the torque's sign.
+    An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. The count of torque
+    sign changes ignores torques of at most ``deadband`` times the effort limit. ``dt`` is the physics step, s.
+    ``gross``, ``net``, and ``positive`` are sums of work over a control step, J, (N,), and ``peak`` is the largest
+    positive power of all joints, W, (N,). For each joint (N, J), ``saturated`` is the number of physics steps at the
+    effort limit, ``squares`` is the sum of squared torques, and ``sign_changes`` counts the torque's sign changes.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -217,7 +217,7 @@ class Trajectories:
 
 
 def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the mean of ``values`` (T, N, ...) over trailing axes and counted steps, (N,); NaN without such steps."""
+    """Average ``values`` (T, N, ...) over trailing axes and steps in the mask ``counted``, (N,); NaN without steps."""
     # Sum in float64, because a float32 sum over a long episode loses precision.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
     steps = counted.sum(dim=0)
@@ -226,7 +226,7 @@ def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
 
 
 def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the RMS of ``values`` (T, N, ...) over trailing axes and counted steps, (N,); NaN without such steps."""
+    """Return the RMS of ``values`` (T, N, ...) over trailing axes and over the steps in the mask ``counted``, (N,)."""
     return mean(values.double().square(), counted).sqrt()
 
 

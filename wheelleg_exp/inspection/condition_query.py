@@ -26,7 +26,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 LONGEST = 2000
 DEEPEST = 60
-_SHOWN = 120  # An error message shows at most this number of characters of a condition.
+_SHOWN = 120  # Error messages show at most 120 characters of the user's condition.
 _Operators = dict[type, Callable[[Any, Any], Any]]
 _COMPARE: _Operators = {
     ast.Lt: operator.lt,
@@ -177,12 +177,13 @@ def find_hits(
 ) -> list[Hit]:
     """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
-    ``columns`` are the names of the numbers in the tables ``Hit.around``, by default the numbers in the condition.
-    ``around`` is the additional time before and after a true condition, which can be outside ``selection``.
+    ``Hit.around`` contains the recorded numbers that ``columns`` names, or by default the numbers that the condition
+    uses. ``Hit.around`` also covers the time ``around`` before and after a true condition, even if ``selection``
+    excludes it.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all recorded rows, because the frames before and after a true condition can be outside ``selection``.
+    # Read rows outside ``selection`` too, because ``Hit.around`` contains rows shortly before and after selected rows.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

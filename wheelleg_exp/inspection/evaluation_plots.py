@@ -22,7 +22,7 @@ Episodes = Mapping[str, Array]
 # In a map of survival rates, dark red means failure and pale blue means success.
 # In a map of tracking errors, a pale colour means a small tracking error.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # At this fraction of a colour map, the text in map cells changes between black and white.
+_DARK = 0.4  # Numbers in map cells are white if the cell is darker than the colour at 0.4 of the colour map.
 _DEGREES = 180.0 / math.pi
 
 

@@ -28,7 +28,7 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
 INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
 FAILED = "#C2410C"
 
-# This colour map goes from pale to dark, so that plots are readable on white paper and in grey print.
+# The colour map `PROGRESS` goes from pale to dark, so that plots are readable on white paper and in grey print.
 PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
@@ -209,7 +209,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # Rows of panels share one grid, whose column number is a multiple of the number of panels in each row.
+    # The number of grid columns is the least common multiple of the numbers of panels per row.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

@@ -193,7 +193,7 @@ def frames_for(recording: Recording, names: Iterable[str], selection: Selection,
         named = [Number(word, n.entity, n.index) for word, n in zip(words, numbers, strict=True)]
         shared = bool(recording.branch(env_id)) and not any(is_of_env(number) for number in numbers)
         found.append(Frames(selection.apply(recording.columns_of(named)), None if shared else env_id))
-        if shared:  # Numbers that belong to no environment are the same for all environments.
+        if shared:  # Read recorded numbers that belong to no environment, such as training scalars, only once.
             break
     return found
 

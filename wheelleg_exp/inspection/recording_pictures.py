@@ -26,7 +26,7 @@ _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 _FINER = 2  # Pictures are drawn at twice their size and then reduced (supersampling), to avoid jagged edges.
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # The shortest and the longest arrow have these lengths, in robot heights.
+_SHORTEST, _LONGEST = 0.02, 1.2  # The length of a drawn arrow is 0.02 to 1.2 times the robot's height.
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ def scenery(
 ) -> Scenery:
     """Return the drawable scene and the motion of one recorded environment.
 
-    If ``at`` names a recorded number, the default of ``env`` is the environment in which this number was nonzero first,
-    else the first environment. ``iteration`` restricts the search for nonzero numbers to one training iteration.
+    If ``env`` is None, the scene shows the environment in which the recorded number ``at`` was nonzero first, or else
+    the first environment. With ``iteration``, only nonzero values of ``at`` in this training iteration count.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -80,8 +80,9 @@ def screenshot(
     ``iteration``. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a
     recorded number, such as ``terminations.base_contact``, the picture shows the first time at which this number is
     nonzero. Without a time, the picture shows the middle of the training iteration ``iteration``, or else of the last
-    recorded sequence of control steps. The default of ``env`` is the environment in which the number ``at`` was nonzero
-    first, else the first environment. ``screenshot`` raises WheellegError for an invalid time, picture size, or path.
+    recorded sequence of control steps. If ``env`` is None, the picture shows the environment in which the recorded
+    number ``at`` was nonzero first, or else the first environment. ``screenshot`` raises WheellegError for an invalid
+    time, picture size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -184,7 +185,7 @@ def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment in which the number named ``at`` is nonzero first; None for a time or a constant 0."""
+    """Return the environment where the recorded number ``at`` is nonzero first; None if ``at`` is a time or zero."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}

@@ -113,7 +113,7 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    If ``terms`` is empty, the panels show training curves if all recordings are of trainings, else the robot's motion.
+    If ``terms`` is empty, the figure shows the robot's motion, or training curves if all recordings are of trainings.
     ``overlay`` raises RunDirectoryError if ``terms`` is empty and the recordings have no numbers for default panels.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}

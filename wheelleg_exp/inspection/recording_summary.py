@@ -44,7 +44,8 @@ class Sample:
 
     ``iteration`` and ``first_step`` describe the first recorded frame, ``last_iteration`` and ``last_step`` the last
     recorded frame. ``episodes`` counts complete episodes, ``cut`` counts incomplete episodes. ``survival`` is the share
-    of complete episodes that reached the time-out. The two means cover complete episodes (None without any).
+    of complete episodes that reached the time-out. ``mean_duration_s`` and ``mean_reward`` are means over complete
+    episodes; None if no episode is complete.
     """
 
     iteration: int
@@ -80,8 +81,8 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
     """Group the recorded episodes of a training by recorded part. ``longest`` is the maximum episode length, steps.
 
-    In each recorded part, the recording of an environment starts with the environment's next episode. So the first
-    recorded episodes of all environments in one part start within ``longest`` control steps.
+    In each recorded part of a training, the recording of each environment starts with the environment's next episode,
+    and the recordings of all environments start within ``longest`` control steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -157,11 +158,11 @@ class Summary:
     """The content of a recording.
 
     ``purpose`` is None for a recording that another program wrote. For a training, ``sample`` is the last recorded part
-    with a complete episode, and all statistics cover this part. If the user selected rows, ``sample`` is None, and all
-    statistics cover the selected rows. If no training was recorded, ``sample`` is None. ``frames`` contains the number
-    of frames that the statistics cover and the number of all recorded frames. ``notes`` are messages about the
-    recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
-    roll, and pitch (rad).
+    of the training with a complete episode, and all statistics cover this part. If the recording is not of a training,
+    or the user selected times or iterations, ``sample`` is None, and all statistics cover the selected rows. ``frames``
+    contains the number of frames that the statistics cover and the number of all recorded frames. ``notes`` are
+    messages about the recording itself, such as a size limit that was reached. ``base`` contains statistics of the
+    base's height (m), roll, and pitch (rad).
     """
 
     path: str
@@ -195,8 +196,8 @@ class Summary:
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
     """Return the summary of a recording, in which data that was not recorded is None or an empty list.
 
-    Statistics cover the selected rows. Without a selection, statistics of a training cover only the last recorded part
-    (``Summary.sample``), but the training scalars and the lists of entities and parts cover the whole recording.
+    Statistics cover the rows that ``selection`` selects. Without ``selection``, training scalars cover the whole
+    training; statistics of the robot's motion cover only the training's last recorded part (``Summary.sample``).
     """
     with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))

@@ -38,7 +38,7 @@ class Target:
     def resting(self) -> Iterator[None]:
         """Lock the recording's run directory inside a ``with`` block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
-        # A user without write access to the lock file needs no lock, because the user cannot resume the run.
+        # Take no lock if the user cannot write the run's lock file, because this user cannot resume the training.
         with ExitStack() as stack:
             if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
                 stack.enter_context(RunLock(run).held())

@@ -102,7 +102,7 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
         expected = f"at most {_MOST_PICTURES}: --from, --to, --speed"
         raise WheellegError(f"the video would have too many frames: {count}", expected=expected)
     moments = time[0] + np.arange(count) * speed / fps
-    # Add a small offset that compensates for rounding errors in the recorded simulated times.
+    # Add 1e-9 s to the time of each video frame, because the recorded simulated times have rounding errors.
     return np.asarray(rows[np.clip(np.searchsorted(time, moments + 1e-9, side="right") - 1, 0, len(rows) - 1)])
 
 

@@ -39,7 +39,7 @@ _CAUSES = (
     "panic",
     "error",
     "failed",
-)  # A line with one of these words reports why rerun's viewer failed.
+)  # If rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 

@@ -18,7 +18,7 @@ _SMOOTHED_FROM = 60
 _WINDOWS = 40
 _LOG_FROM = 50.0  # The axis of a curve is logarithmic if the curve's largest value is over 50 times its smallest value.
 _SHOWN_TERMS = 7
-# The learning curves of a training show these scalars in order, with tracking errors after the episode length.
+# `CURVES` lists the training scalars that are plotted as learning curves, in the order of the plots.
 CURVES = (
     "Train/mean_reward",
     "Train/mean_episode_length",
@@ -29,8 +29,8 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# A training scalar whose key starts with one of these prefixes is a tracking error of a command.
-# If scalars with several of these prefixes were logged, only scalars with the first prefix are plotted.
+# Training scalars whose keys start with a prefix in `_ERRORS`, such as "Metrics/", are command tracking errors.
+# If a training logged scalars with several prefixes in `_ERRORS`, only scalars with the first prefix are plotted.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 

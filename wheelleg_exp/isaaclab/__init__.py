@@ -38,7 +38,7 @@ _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
-# The docstring and the members of each created module by path; a package comes before its modules.
+# ``_MODULES`` maps the path of each ``isaaclab`` module to a docstring and members; packages precede their modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "actuators": ("The actuator models.", _public(actuators)),
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),
@@ -54,7 +54,7 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "terrains": ("The ground.", {"TerrainImporter": TerrainBase}),
 }
 for _path, (_doc, _members) in _MODULES.items():
-    # Create each module below this package, and make it importable by its dotted path.
+    # Create each ``isaaclab`` module of ``_MODULES``, and make the module importable by its dotted path.
     _module = ModuleType(f"{__name__}.{_path}", _doc)
     _module.__spec__ = ModuleSpec(_module.__name__, None, is_package=True)
     _module.__path__ = []

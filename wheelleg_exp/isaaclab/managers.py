@@ -8,7 +8,7 @@ import torch
 
 from wheelleg_exp import managers
 from wheelleg_exp.isaaclab.utils.configclass import configclass
-from wheelleg_exp.managers import (  # noqa: F401  # The module ``isaaclab.managers`` exports these classes, too.
+from wheelleg_exp.managers import (  # noqa: F401  # ``isaaclab.managers`` exports classes of ``wheelleg_exp.managers``.
     ActionManager,
     CommandManager,
     CurriculumManager,
@@ -84,7 +84,7 @@ class CommandTerm(OfEnv, managers.CommandTerm):
 
     def __init__(self, cfg: CommandTermCfg, env: Env) -> None:
         self.cfg = cfg
-        # The base class gets no random generator, because a running term draws from torch's global generator.
+        # Pass None as the random generator, because Isaac Lab's command terms draw from torch's global generator.
         super().__init__(env, cfg.resampling_time_range, (), None)  # type: ignore[arg-type]
         self.metrics: dict[str, torch.Tensor] = {}
 

@@ -157,7 +157,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return commit, tree, and patch hash of a run's source folders, such as ``commit (2)`` for the second folder."""
+    """Return git states of a run's source folders by name; ``commit (2)`` is the commit of the second source folder."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}

@@ -192,7 +192,7 @@ def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, tell
 
 
 def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
-    """Return a function that builds, for an environment, a policy with the checkpoint's clipped mean action."""
+    """Return a function that loads a checkpoint's policy for an environment; the policy gives clipped mean actions."""
 
     def make(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
         set_threads(agent, env.scene.sim.nthread)
@@ -310,7 +310,7 @@ def compare(
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # Count the training seeds of each side; the reference controller (LQR), which is not trained, has no seed.
+    # Count the trained runs in ``runs`` and in ``against``; the reference controller (LQR) is not trained.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)

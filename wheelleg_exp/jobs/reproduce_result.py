@@ -32,7 +32,7 @@ _COMMAND = ("wheelleg", "results")
 class Reproduction:
     """The result of a reproduction."""
 
-    differences: list[str]  # Each text names one number that is not bitwise equal to the recorded number.
+    differences: list[str]  # ``differences`` describes each number that differs bitwise from the recorded number.
     machine: list[FactDifference]  # differences in hardware, versions, and threads that may change the result's numbers
     other_code: bool  # whether the current source files differ from those of the recorded trainings
 
@@ -95,7 +95,7 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # Units or episode counts of equal metrics can differ.
+            yield from _leaf_differences(was, is_now, name)  # Metrics with equal values can differ in their unit.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:

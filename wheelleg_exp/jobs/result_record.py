@@ -41,16 +41,16 @@ def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]
 
 def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     about = record["about"]
-    profile = f"The simulated robot has the parameter set `{about['profile']}`. " if about.get("profile") else ""
+    profile = f"The config file with `profile: {about['profile']}` defines the robot. " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
     scenarios = record["scenarios_sha256"][:16]
-    yield f"The evaluation used the protocol `{record['protocol']}`, whose commands have the SHA-256 `{scenarios}…`."
-    steps = f"a physics step of {about['physics_dt_s']:.6g} s and a control step of {about['step_dt_s']:.6g} s"
-    yield f"The evaluated policies were trained with the seeds {seeds}. {profile}The simulation had {steps}."
+    yield f"The policies ran in the fixed test episodes of `protocol={record['protocol']}` (see docs/evaluation.md)."
+    steps = f"physics step was {about['physics_dt_s']:.6g} s and the control step was {about['step_dt_s']:.6g} s"
+    yield f"The test episodes have the SHA-256 `{scenarios}…`. {profile}The {steps}."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
-    yield f"Training the evaluated policies took {times} on {', and on '.join(machines)}.\n"
+    yield f"Training the policies with the seeds {seeds} took {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
@@ -114,7 +114,7 @@ def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[st
         seeds = ", ".join(map(str, manifest.get("seeds") or []))
         link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
         yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
-    yield f"\n`nox -s results -- {record['name']}` trains and evaluates the runs, and checks all numbers on this page."
+    yield f"\n`nox -s results -- {record['name']}` retrains and re-evaluates the policies to check this page's numbers."
 
 
 def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
@@ -130,12 +130,12 @@ def _number(value: float | None, factor: float) -> str:
 
 
 FORMAT = 2
-# ``write_results`` copies these keys of a run's manifest, which describe no folders or processes of the machine.
+# ``write_results`` copies only entries of a run's manifest that describe no folders or processes of the machine.
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# A repeated training does not need overrides with these prefixes, which name local folders or recordings.
+# The recipe of a repeated training omits the overrides of ``run``, ``init_from``, and ``recording``.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -265,9 +265,9 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A resume on
-    another machine is also accepted, and the result's page names both machines. RunDirectoryError means that no
-    uninterrupted training can reproduce the run.
+    A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run
+    that was resumed on another machine also counts as one training; the page ``NAME.md`` names both machines.
+    RunDirectoryError means that no uninterrupted training can reproduce the run.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]

@@ -48,7 +48,7 @@ class StandFigures:
 
 
 class StandMeter:
-    """Measures how robots stand in each environment's first episode; height and pitch, after ``settle_s`` seconds."""
+    """Measures how robots stand in each environment's first episode; ignores height and pitch before ``settle_s``."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -112,7 +112,7 @@ class ContactFigures:
     body: str
     mean_n: float
     max_n: float
-    contact_share: float  # the share of control steps with a standing robot in which the link had contact
+    contact_share: float  # The link ``body`` has contact in this share of the control steps in which its robot stands.
     steps: int  # the number of control steps with a standing robot, summed over all environments
 
 
@@ -165,7 +165,7 @@ def _rms(values: torch.Tensor) -> float:
 
 
 SATURATION = 0.99  # A motor torque of at least 99 % of its effort limit counts as saturated.
-DEADBAND = 0.001  # A torque below 0.1 % of the effort limit causes no change of the torque's sign.
+DEADBAND = 0.001  # A torque's sign change counts only if the torque exceeds 0.1 % of its effort limit.
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class LocalLauncher:
 
     def start(self, number: int, request: JobRequest) -> Job:
         """Start the child process that runs a job."""
-        del number  # The number is unused, because each child process has its own pipes.
+        del number  # The job's number is not needed, because each job's child process has its own pipes.
         # Pass ``os.environ`` to the job, because libraries may have changed the C environment of this process.
         return Child(self._program, request.line(), os.environ)
 

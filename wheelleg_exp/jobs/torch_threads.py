@@ -25,7 +25,7 @@ _in_time: list[bool] = []  # False if torch was imported before ``prepare_thread
 _STRICT = 0x10000
 _EVERYTHING = -1
 _VECTOR_STEP = 32  # One step of a vector loop in torch computes 32 numbers, which are two AVX-512 vectors.
-# With these values of MKL_CBWR, the number of threads changes matrix products, even with the option STRICT.
+# With MKL_CBWR=OFF or COMPATIBLE, matrix products depend on the thread count, even with the option STRICT.
 _THREADED_BRANCHES = ("off", "compatible")
 
 
@@ -33,8 +33,8 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
     """Set torch's thread count to ``agent.torch_threads``; return thread and rounding settings for a run's manifest.
 
     ``samples`` is the number of environment steps in one rollout; None if nothing is trained. The returned entry
-    ``independent`` is true if the thread count cannot change the training's numbers. If ``independent`` is false,
-    ``dependent_because`` lists the reasons.
+    ``independent`` is true if the thread count cannot change the training's numbers. The entry ``dependent_because``
+    lists the reasons why the thread count can change the training's numbers.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
@@ -62,7 +62,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the entries ``independent`` (False) and ``dependent_because`` if bfloat16 products depend on threads.
+    """Return changed entries of ``threads`` if the thread count changes bfloat16 products, else an empty dictionary.
 
     ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
     """
@@ -86,8 +86,8 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 def mkl_in_force() -> dict[str, Any] | None:
     """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
-    ``branch`` and ``strict`` in the returned dictionary are None if MKL does not report its mode. After the query,
-    changes of MKL's environment variables have no effect.
+    ``branch`` and ``strict`` in the returned dictionary are None if MKL does not report its mode. After the
+    first call of ``mkl_in_force``, changes of MKL's environment variables have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None

@@ -25,7 +25,7 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The reward of one term for an acceptable error of the robot, which is called the tolerance of the term.
+    """The value of one reward term for an acceptable error of the robot, ``tolerance``, such as a tilt of 0.1 rad.
 
     ``value`` is the unweighted value of the reward term for an acceptable error of the robot; None if unknown. ``cost``
     is the absolute change of the reward term's unweighted value from no error to an acceptable error. If ``once`` is

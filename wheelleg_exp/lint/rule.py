@@ -22,9 +22,9 @@ _LIBRARY = "wheelleg_exp.mdp."
 class TermView:
     """A term of the config.
 
-    ``kind`` is the path of the term's function or class below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. A
-    term that uses an alias has the ``kind`` of the original function. For functions and classes outside of
-    ``wheelleg_exp.mdp``, ``kind`` is the full dotted path.
+    ``kind`` is the path of the term's function or class below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. If a
+    config uses a second name (alias) of a function, the term's ``kind`` contains the function's original name. For
+    functions and classes outside of ``wheelleg_exp.mdp``, ``kind`` is the full dotted path.
     """
 
     name: str

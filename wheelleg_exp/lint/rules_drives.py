@@ -214,9 +214,9 @@ def control_rate(case: Case) -> Iterator[Finding]:
     """The control rate is too low to balance the robot.
 
     The tilt of a pendulum that falls at the rate p grows by the factor e in the time 1/p. A sampled controller acts one
-    and a half control steps late on average. The time 1/p of a fall should contain about five control steps, so that
-    the controller's delay is below a third of 1/p. Source: Åström, "Limitations on control system performance", 2000,
-    on delay with an unstable pole.
+    and a half control steps late on average. If a robot's tilt grows at the rate p, about five control steps should fit
+    into the time 1/p, because controllers act with a delay. Source: Åström, "Limitations on control system
+    performance", 2000, on delay with an unstable pole.
     """
     balance = case.facts.balance
     if balance is None:

@@ -149,16 +149,16 @@ def push_size(case: Case) -> Iterator[Finding]:
     """A push event is too strong for any policy, or too weak to test a policy.
 
     The largest push that wheels can catch is the wheels' acceleration divided by the rate sqrt(m g h / I) of the
-    inverted pendulum. Friction or the drive limits the wheels' acceleration. Every robot falls after a push far above
-    the largest push that the wheels can catch. Pushes below a fifth of the largest push that the wheels can catch do
-    not test the policy. Pushes along the robot's own y axis are not checked, because wheels cannot catch sideways
-    pushes. Pushes along the world's y axis are checked, because a robot that has turned can roll along this axis.
-    Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
+    inverted pendulum. The wheels' acceleration is limited by their friction or by the torque of their drives. Every
+    robot falls after a push far above the largest push that the wheels can catch. Pushes below a fifth of the largest
+    push that the wheels can catch do not test the policy. Pushes along the robot's own y axis are not checked, because
+    wheels cannot catch sideways pushes. Pushes along the world's y axis are checked, because a robot that has turned
+    can roll along this axis. Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
         return
-    # The largest push that the wheels can catch, m/s, is the wheels' acceleration divided by the pendulum's rate.
+    # The largest push, m/s, that wheels can catch is the wheels' acceleration divided by the rate of a robot's fall.
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
     spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)

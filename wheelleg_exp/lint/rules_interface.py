@@ -43,7 +43,7 @@ def action_scale(case: Case) -> Iterator[Finding]:
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return the fault of an action's scale, a hint (empty if a new scale is the solution), and the fault's numbers."""
+    """Return a message about a bad action scale, a hint (empty if another scale helps), and the message's numbers."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -72,7 +72,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the action scale nearest to ``unit`` that all joints and drives of a term allow; None if none exists."""
+    """Return the action scale, nearest to the current scale ``unit``, that fits all joints of a term, or None."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -180,9 +180,9 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or much smaller than 1.
 
     The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation
-    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges.
-    ``observation_scale`` ignores networks that normalise their inputs. Source: Andrychowicz et al., "What matters in
-    on-policy reinforcement learning?", 2021, on input normalisation.
+    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The
+    rule ``observation_scale`` skips observations that only networks with input normalisation receive. Source:
+    Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]

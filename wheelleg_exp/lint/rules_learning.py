@@ -9,7 +9,7 @@ from typing import Any
 from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # The smallest useful cost of an acceptable error, as a share of a perfect robot's reward.
+_AUDIBLE = 0.01  # An acceptable error of the robot should cost at least 1 % of the reward of a robot without errors.
 _OUTWEIGHS = 4.0  # The largest plausible ratio of one negative reward to the sum of all positive rewards.
 _STILL = 0.5  # The largest accepted share of a tracking reward that a robot earns without motion.
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
@@ -128,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest weight at which an acceptable error costs 1 % of the best reward; None if none exists."""
+    """Return the smallest reward weight at which an acceptable robot error costs 1 % of the best reward, or None."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -139,9 +139,9 @@ def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
 def falling_pays(case: Case) -> Iterator[Finding]:
     """The robot earns more if it falls than if it continues the episode.
 
-    The value of continuing an episode is the sum of all reward terms for acceptable errors of the robot. Rewards are
-    summed over the episode or over the discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an episode
-    is worth less than a failure, the policy learns to fall. Source: the return of PPO, Schulman et al. 2017.
+    The value of continuing an episode is the total reward of a robot with small, acceptable errors. Rewards are summed
+    over the episode or over the discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an episode is
+    worth less than a failure, the policy learns to fall. Source: the return of PPO, Schulman et al. 2017.
     """
     found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
@@ -168,7 +168,7 @@ _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
 _DUST = 1e-9  # The relative tolerance for rounding errors in the difference 1 - gamma.
 _FALLS = 5.0  # The smallest useful discount horizon, in time constants of a falling robot's exponentially growing tilt.
-_EARLY = 0.25  # The largest accepted share of the first training iterations in the mean of the policy's weights.
+_EARLY = 0.25  # At most 25 % of the averaged policy weights should come from the first training iterations.
 
 
 @rule
@@ -217,7 +217,7 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
 
 
 def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
-    """Return a hint and, if the episode is longer than a fall, the advice to set gamma to 1 - ``share``."""
+    """Return a hint about gamma, and the recommended gamma = 1 - ``share`` unless episodes are shorter than a fall."""
     if case.episode_s < fall:
         return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
@@ -228,16 +228,17 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 def late_average(case: Case) -> Iterator[Finding]:
     """The mean of the policy's weights depends too much on the start of the training.
 
-    In the first n training iterations, the mean m of the policy's weights w covers all iterations. After the first n
-    iterations, each iteration updates the mean m by m += (w - m) / n. After i iterations, the poorly trained weights of
-    the first n iterations have the share (1 - 1/n)^(i - n) in the mean. Source: the weights of an exponential mean.
+    Up to training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
+    After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
+    After i iterations, the first n iterations, with a poorly trained policy, contribute (1 - 1/n)^(i - n) of the
+    averaged weights. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        # In a mean over n of i iterations, the first n have a share of (1 - 1/n)^(i - n), at most exp(1 - i/n).
+        # The first n of i iterations contribute (1 - 1/n)^(i - n), at most exp(1 - i/n), of the averaged weights.
         few = int(iterations / (1.0 - math.log(_EARLY)))
         enough = few if few > 1 else 0  # 0 disables the mean
         message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"

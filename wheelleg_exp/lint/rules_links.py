@@ -215,7 +215,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    # Limits of 0 in a robot file are reported only without a task, because a task sets effort and speed limits.
+    # A task config sets effort and speed limits, so limits of 0 in the robot file matter only without a task config.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
     weak = [name for name in facts.joints if name in written and "task" not in case.config]

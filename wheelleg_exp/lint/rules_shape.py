@@ -19,7 +19,7 @@ from wheelleg_exp.sim.names import match_names
 _ASSET = "env.robot.asset"
 _TOUCHES = 2e-3  # The deepest overlap that soft contacts allow, as a share of the robot's size.
 _DEEP = 0.25  # The deepest accepted overlap of two links that a joint connects, as a share of the robot's size.
-_STANDS = 5e-3  # The largest height of a body on the ground above the robot's lowest point, as a share of its size.
+_STANDS = 5e-3  # A body touches the ground if it is at most 0.5 % of the robot's size above the robot's lowest point.
 _BUMP = 0.05  # The largest accepted variation of a wheel's radius around the rim, as a share of the radius.
 _UNEQUAL = 0.02  # The largest accepted relative difference between the radii of left and right wheels.
 _SHOWN = 4  # pairs in one message
@@ -122,9 +122,9 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, the robot's centre of mass is not above the wheels.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. The hint of ``balance_pose`` contains a balanced
-    pose, computed from the kinematics. On several axles, the robot's centre of mass must be between the outermost wheel
-    contacts. Source: statics of the inverted pendulum.
+    of mass of the parts above the axle is vertically above the axle. If the legs can balance the robot, the rule
+    ``balance_pose`` suggests their joint positions, computed from the kinematics. On several axles, the robot's centre
+    of mass must be between the outermost wheel contacts. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
         return
@@ -209,7 +209,7 @@ _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
 _CENTRE = 0.02  # The allowed distance between a centre of mass and its mirror image, as a share of the robot's size.
 _ANGLE = 0.02  # The largest accepted difference, rad, between limits or positions of left and right joints.
-_NEGLIGIBLE = 0.01  # The smallest mass of a link whose centre of mass matters, as a share of the robot's mass.
+_NEGLIGIBLE = 0.01  # Symmetry checks ignore the centres of mass of links that have less than 1 % of the robot's mass.
 _ALONG = 0.9  # The smallest cosine between a joint's axis and the wheels' axle, for joints parallel to the axle.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
 _MOST = 4  # findings of one kind
@@ -219,9 +219,9 @@ _MOST = 4  # findings of one kind
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Equal joint speeds roll left and right wheels in opposite directions, but move left and right legs alike.
 
-    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. Some
-    robot files reverse the axes of all joints of one side, which ``wheel_senses`` does not report. Source: kinematics,
-    v = omega x r.
+    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. The
+    rule ``wheel_senses`` does not report a robot whose file reverses the axes of all leg and wheel joints on one side.
+    Source: kinematics, v = omega x r.
     """
     anatomy = robot.drawn
     signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}

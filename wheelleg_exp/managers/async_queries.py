@@ -13,12 +13,13 @@ class AsyncMaskQuery:
     """Finds environments whose episode ended; the host computes the indices from copies of masks (N,).
 
     The method ``start`` starts to copy the masks of ended and failed environments to the host, and the GPU continues to
-    work. The method ``ids`` waits for the copies of both masks, and returns indices of ended and failed environments.
-    On a GPU, ``ids`` waits for the mask of environments whose failure is detected late only if ``at_once`` is True. If
-    ``at_once`` is False, the method ``late`` returns the environments whose failure is detected late.
+    work. The method ``ids`` waits for the masks that ``start`` copies, and returns indices of ended and failed
+    environments. On a GPU, ``ids(also_failed, at_once=False)`` does not wait for the mask ``also_failed`` of further
+    failed environments. The method ``late`` waits for ``also_failed``, and returns failed environments that ``ids``
+    omitted.
 
     Attributes:
-        answers_late: whether ``late`` may answer for the third mask; only on a GPU, where waiting costs time.
+        answers_late: whether ``ids`` can omit failed environments that ``late`` returns; True on a GPU.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
@@ -42,8 +43,8 @@ class AsyncMaskQuery:
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) is a second mask of failed environments, in addition to the argument ``failed`` of
-        ``start``. If ``at_once`` is False, the method ``late`` returns the environments of ``also_failed``.
+        ``also_failed`` (N,) is a mask of further failed environments, such as environments with NaN rewards. On a GPU
+        with ``at_once=False``, ``ids`` omits the environments of ``also_failed``, and ``late`` returns them.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -55,7 +56,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return failed environments that ``ids`` missed, and those of them that ``ids`` did not return as ended."""
+        """Return failed environments for which ``ids`` did not wait, and those of them whose episode has not ended."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -83,8 +84,8 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    The host does not wait for a GPU, so it detects a NaN or inf on the GPU some checks later. After the host has
-    detected a NaN or inf, the next ``_PATIENCE`` checks for finite numbers wait for the GPU.
+    For a GPU tensor, the function usually returns True without waiting for the GPU, and detects NaN or inf in a later
+    call. After the function has detected NaN or inf, its next ``_PATIENCE`` calls wait for the GPU.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
@@ -126,7 +127,7 @@ class _FiniteWatch:
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return False in the ``_PATIENCE`` calls after a NaN or inf was detected on the GPU, otherwise True."""
+        """Return False if one of this method's last ``_PATIENCE`` calls found NaN or inf on the GPU, otherwise True."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()

@@ -62,7 +62,7 @@ class CommandTerm(TermBase):
         """Compute ``command`` from the values that ``draw`` stored; ``compute`` calls this in every control step."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update the metrics, redraw commands whose timers expired, and return the tracking errors of ``errors``."""
+        """Update the metrics, draw new commands if their timers expired, and return the step's tracking errors."""
         errors = self.errors()
         shape = self.error_sums.shape
         if getattr(errors, "shape", None) != shape:

@@ -36,9 +36,9 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
     """Report which terms produced NaN or inf in the present step, and the state of the failed environments ``env_ids``.
 
-    The item ``keys`` of the result has the config keys of failed terms by environment. The item ``evidence`` of the
-    result has the state of the failed environments. If the physics of an environment failed, ``keys`` names only the
-    physics, because NaN in the physics causes NaN in terms.
+    The returned ``keys`` map each failed environment's index to the config keys of the terms with NaN or inf. The
+    returned ``evidence`` is the state of the failed environments. If the physics of an environment failed, ``keys``
+    names only the physics, because NaN in the physics causes NaN in terms.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
     chosen = set(env_ids.tolist())
@@ -55,7 +55,8 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
     The tensor ``state`` is the present state of the engine. ``motion_at_start`` has the positions and velocities at the
     start of the control step, because the engine has already reset a failed simulation. ``model.<field>`` is a field of
-    the MuJoCo model that an event changed. The result also contains the rows of further tensors ``more`` (N, ...).
+    the MuJoCo model that an event changed. The keyword arguments ``more`` are further tensors (N, ...), of which the
+    returned dictionary contains the rows of the environments ``ids``.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -83,7 +84,7 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
-        before = set(ids_where(env.scene.unstable()).tolist())  # Exclude physics failures, which no event term caused.
+        before = set(ids_where(env.scene.unstable()).tolist())  # Physics failures are not blamed on the event term.
         for name, values in written.items():
             bad = set(failed_rows(values).tolist()) - before
             bad &= bad if ids is None else set(ids.tolist())

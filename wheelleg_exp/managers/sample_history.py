@@ -74,7 +74,7 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the row that ``append`` would return for ``samples`` of the first terms; store no samples."""
+        """Return the histories that ``append`` would return, but store nothing; ``samples`` can lack the last terms."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -115,7 +115,7 @@ class RowHistoryPart:
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore the state from a checkpoint."""
-        self._row.values = self._row.values.clone()  # Copy the histories, because a caller may use the old tensor.
+        self._row.values = self._row.values.clone()  # Callers may still use the old history tensor, so copy it first.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 

@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# A manager reads these settings of a term at each use, and all other settings of the term only once.
+# Managers read the term settings in ``_READ_AT_EACH_USE`` at each use, and all other term settings only once.
 _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -46,7 +46,7 @@ def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
     """Set the value of the setting at an address relative to the object ``root``.
 
-    To change an element of a tuple, a new tuple is stored. Term objects apply changes of their constructor arguments.
+    If the setting is a constructor argument of a term's class, ``write`` also updates the term's object.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -78,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # Isaac Lab's addresses of settings contain these names, unlike ours.
+        if part in ("func", "params"):  # Skip the names ``func`` and ``params`` in addresses from Isaac Lab.
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -87,7 +87,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # Addresses of settings in Isaac Lab contain the name ``cfg``, which has no effect here.
+        return holder  # Skip the name ``cfg``, which only Isaac Lab's addresses of settings contain.
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):
@@ -105,7 +105,7 @@ def _below(holder: Any, part: Part) -> Any:
 
 
 def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
-    """Return the owner of a part of a bound term: the fields of its manager, its parameters, or the term object."""
+    """Return the object that stores a term's setting ``part``: the term's fields, parameters, or class instance."""
     if part in term.fields:
         if to_write and part not in _READ_AT_EACH_USE:
             message = f"'{part}' of '{term.name}' is read only once, when the environment is created"

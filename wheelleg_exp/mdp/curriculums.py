@@ -82,7 +82,7 @@ class modify_env_param(TermBase):
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy the new value, because a checkpoint cannot restore a list that ``modify_params`` also contains.
+            # Copy the result of ``modify_fn``, because a checkpoint cannot restore a list that two attributes share.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -162,18 +162,17 @@ def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits)
 class command_range_levels(TermBase):
     """Widen the ranges of a command whenever the robots track the command well; return the upper bounds of the ranges.
 
-    The tracking ratio is a tracking reward's sum over an episode, divided by the sum for perfect tracking in a
-    full-length episode. Once per full episode length, the tracking ratio's mean over all ended episodes is evaluated.
-    If the mean tracking ratio exceeds ``threshold``, each command range in ``limit_ranges`` grows by ``step`` on both
-    sides, up to its limit. ``command_range_levels`` is not part of Isaac Lab's library; some Isaac Lab projects have it
-    as ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
+    Once per full episode length, a tracking ratio is computed: the mean tracking reward of the ended episodes, divided
+    by the reward of a full-length episode with perfect tracking. If the tracking ratio exceeds ``threshold``, each
+    command range in ``limit_ranges`` grows by ``step`` on both sides, up to its limit. ``command_range_levels`` is not
+    part of Isaac Lab's library; some Isaac Lab projects have it as ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
         command_name: the command.
         step: growth on each side, in the axis' unit.
-        threshold: share of the perfect robot's reward.
+        threshold: tracking ratio above which the command ranges grow.
     """
 
     def __init__(
@@ -218,17 +217,18 @@ _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # the components of a velocity 
 
 
 class command_levels_by_skill(TermBase):
-    """Widen a velocity command's range on each axis that the robots track well; return upper bounds and skills S.
+    """Widen a velocity command's range on axes with good tracking; return each range's upper bound and tracking score.
 
-    The tracking of each command axis is evaluated separately, over at least ``min_episodes`` finished episodes. An
-    axis's evaluation skips control steps in which the command on the axis is at most ``command_threshold``. The skill
-    is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the error e, and still is the score of
-    a robot that never moves, the mean of exp(-c²/std²) for the command c. For any command range and ``std``, the
-    tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A failed episode counts as a
-    full-length episode, with a tracking score of 0 in all steps after the failure. An axis's command range grows by
-    ``step`` on both sides after ``passes`` evaluations in a row with a skill S of at least ``threshold``. Evaluations
-    of the tracking skill ignore episodes that started before the last growth of a command range. If an axis's range
-    could grow but has not grown in ``patience`` evaluations, the log value ``<axis>_stuck`` is 1, and training warns.
+    The tracking of each command axis is evaluated separately, over at least ``min_episodes`` finished episodes. Control
+    steps in which the command on an axis is at most ``command_threshold`` do not count for the tracking skill of this
+    axis. The skill of an axis is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the velocity
+    error e, and still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. For any
+    command range and ``std``, the tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A
+    failed episode counts as a full-length episode, with a tracking score of 0 in all steps after the failure. The
+    command range of an axis grows by ``step`` on both sides after the tracking skill was at least ``threshold`` in
+    ``passes`` successive evaluations. Evaluations of the tracking skill ignore episodes that started before the last
+    growth of a command range. If an axis's range could grow but has not grown in ``patience`` evaluations, the log
+    value ``<axis>_stuck`` is 1, and training warns.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
@@ -272,10 +272,10 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        # An episode's sums have three rows: the tracking score, the score of a robot at rest, and the number of steps.
+        # ``_sums`` adds up the tracking score, the score of a robot at rest, and the number of steps of each episode.
         self._sums = torch.zeros(shape, device=env.device)
-        self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` has the same sums over all ended episodes.
-        # A mask of the environments whose episode started after the last growth of a command range.
+        self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` sums ``_sums`` over ended episodes.
+        # ``_counts`` is a mask of the environments whose episode started after the last growth of a command range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)

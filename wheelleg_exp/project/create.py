@@ -90,7 +90,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return a project's files as texts by path; ``asset`` is relative to ``assets/``, ``configs`` to ``configs/``."""
+    """Return project files' texts by path; ``asset`` is a path in ``assets/``, ``configs`` are files in ``configs``."""
     groups = {file: file.split("/")[0] for file in configs}
     rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}

@@ -21,14 +21,14 @@ _WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
 _LEG_RATE = 2 * math.pi * 3  # The bandwidth of a leg joint, rad/s.
 _DAMPING_RATIO = 0.7
 _SAG = 0.05  # The largest position error of a leg joint that carries the robot's weight, rad or m.
-_STRENGTH = 3.0  # The ratio of a leg drive's effort limit to the torque that holds the pose.
+_STRENGTH = 3.0  # The ratio of a leg drive's default effort limit to the torque that carries the robot's weight.
 _LEVER = 0.25  # The shortest assumed lever of the robot's weight at a leg joint, as a share of the leg's length.
 _BENDS = 0.35  # The largest static position error, rad or m, of a leg joint that does not buckle.
 # The largest accepted ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
 _FULL = 4.0
 _SLIPS = 5.0  # The largest realistic ratio of a wheel's effort limit to the torque at which the wheel slips.
 _FAST = 100.0  # The largest realistic speed limit of a joint, rad/s.
-_WEAK = 0.3  # The smallest ratio of an effort limit to the torque that holds the weight at the shortest assumed lever.
+_WEAK = 0.3  # The smallest accepted ratio of a leg drive's effort limit to the torque that carries the robot's weight.
 _STEP = 0.005  # The physics time step of a new project's task, s.
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
@@ -39,7 +39,7 @@ _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that 
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains and limits of a group of actuators; the keys of each mapping are the names of the actuated joints.
+    """The gains and limits of a group of actuators; each field such as ``stiffness`` maps joint names to values.
 
     Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
     contains the names of the quantities whose values are from the robot file. ``refused`` lists unusable gains and
@@ -323,7 +323,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``indent`` is the indentation of the list's further lines, and ``used`` the number of characters before the list.
+    ``indent`` is the indentation of a long YAML list's further lines; ``used`` is the width of text before the list.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

@@ -66,7 +66,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the rotation to a root frame with x forwards, y to the left, and z upwards at a base pitch of ``lean``.
+    """Return the rotation from the file's root frame to a frame with x forwards and z up at a base pitch of ``lean``.
 
     If the forward, left, and up directions are nearly parallel to axes of the robot file, the file's axes replace them.
     """

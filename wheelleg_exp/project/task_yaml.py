@@ -14,7 +14,8 @@ _FORCE = 0.02  # The largest random permanent force on the base, as a share of t
 _TORQUE = 0.01  # The largest random permanent torque on the base, as a share of the robot's weight times its height.
 _LOAD = (-0.05, 0.1)  # The smallest and largest mass that an event adds to the trunk, as shares of the trunk's mass.
 _ERROR = 0.2  # The height error that costs a reward of 1 per second, as a share of the robot's standing height.
-_COST = 0.15  # The reward per second that a vertical speed of 0.1 sqrt(g h) or a tilt rate of 0.1 sqrt(g / h) costs.
+# The penalty per second for a vertical speed of 0.1 sqrt(g h) or a tilt rate of 0.1 sqrt(g / h), with robot height h.
+_COST = 0.15
 _TILT = 0.03  # The largest random tilt of the stock reset event, rad.
 _DIP = 0.003  # The largest depth of a wheel in the ground after a random start tilt, as a share of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
@@ -145,7 +146,7 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
-    # Start tilts get smaller ranges if the ranges of the stock task would put a wheel or foot into the ground.
+    # The random tilt at a reset is reduced if its default range would put a wheel or foot into the ground.
     anatomy = robot.anatomy
     # The positions of the feet are unknown, so their distance is assumed to be half of the robot's size.
     arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
@@ -204,7 +205,7 @@ def _tolerance(robot: Survey) -> float:
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the wheel speed, rad/s, for an action of 1, which needs a quarter of the drive's torque at standstill."""
+    """Return the wheel speed (rad/s) for an action of 1. At standstill, an action of 1 needs 25 % of full torque."""
     gains = wheel_gains(robot)
     wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
     return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())

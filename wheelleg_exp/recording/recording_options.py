@@ -34,8 +34,9 @@ class RecordingOptions:
 class Sample:
     """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    Recording starts with the first new episode after ``begin``, and stops after the episode that reaches ``enough``
-    control steps. Checkpoints do not store a ``Sample``, because the recording contains all recorded control steps.
+    After a call of ``begin``, recording starts with the next episode. After ``enough`` recorded control steps,
+    recording stops at the end of the current episode. A resumed run reads the numbers of recorded control steps from
+    the recording, not from a checkpoint.
     """
 
     def __init__(self) -> None:

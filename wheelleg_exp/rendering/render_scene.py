@@ -26,8 +26,8 @@ class Shape:
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1
-    vertices: NDArray[np.float64] | None = None  # A mesh has n vertices, (n, 3), m.
-    faces: NDArray[np.int64] | None = None  # A mesh has m triangles of three vertex indices, (m, 3).
+    vertices: NDArray[np.float64] | None = None  # The positions of a mesh's n vertices have the shape (n, 3), in m.
+    faces: NDArray[np.int64] | None = None  # The three vertex indices of a mesh's m triangles have the shape (m, 3).
     normals: NDArray[np.float64] | None = None  # (n, 3)
 
     def corners(self) -> Array:
@@ -79,7 +79,7 @@ def points(scene: Scene, pos: Array, quat: Array) -> Array:
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
-AZIMUTH, ELEVATION = 142.0, -14.0  # MuJoCo defines the camera's azimuth and elevation, degrees.
+AZIMUTH, ELEVATION = 142.0, -14.0  # The camera's azimuth and elevation are in degrees, as MuJoCo defines them.
 FOV = 30.0  # The camera's vertical field of view is 30 degrees, because a small angle does not distort the robot.
 _FILLED = 0.64  # The robot fills 64 % of the picture's height or width.
 

@@ -26,7 +26,7 @@ class Cell:
 
     text: str
     number: bool = False  # whether the table cell is aligned to the right, with digits of equal width
-    code: bool = False  # true for code and hashes
+    code: bool = False  # True if the text of the table cell is code or a hash, which the report shows in monospace.
     bar: float | None = None  # a number in -1 … 1, drawn as a bar behind the text of the table cell
     tone: Tone = ""
 

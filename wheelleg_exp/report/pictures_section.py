@@ -61,7 +61,7 @@ class Look:
 
     @cached_property
     def play(self) -> Recording | WheellegError | None:
-        """The recording of the last ``wheelleg play`` or of an agent's run, or the error from reading it; or None."""
+        """The recording of the last rollout of a policy or agent, or the error from opening the recording, or None."""
         return _opened(standing.recording_of_play(self.subject))
 
     def hero(self) -> Picture | None:
@@ -164,10 +164,10 @@ def _source(recording: Recording) -> Source:
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
     """Return a sample (consecutive recorded steps), and the episode in this sample that the report's pictures show."""
-    # With ``_FIRST``, the pictures show the first recorded training episode.
-    # With ``_PLAY``, the pictures show the first episode of ``wheelleg play``, whose metrics the report lists.
-    # With ``_LAST``, the pictures show a complete episode of the last recorded sequence that contains one.
-    # If no recorded episode is complete, the pictures show the longest episode of the last recorded sequence.
+    # For the start of training (``_FIRST``), the pictures show the first recorded training episode.
+    # For a ``wheelleg play`` (``_PLAY``), the pictures show the first recorded episode, whose metrics the report lists.
+    # For the end of training (``_LAST``), the pictures show a complete episode of the last sequence with such episodes.
+    # If a training's recording has no complete episode, the pictures show the last sequence's longest episode.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):

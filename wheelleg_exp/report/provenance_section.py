@@ -214,7 +214,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # A report compares at most three runs of each kind, because each comparison opens checkpoints.
+_COMPARED = 3  # Compare a run with at most 3 replays and 3 runs of equal settings, as comparisons open checkpoints.
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -226,7 +226,7 @@ class Repeat:
 
     label: str  # The task and id of the run that is compared with the reported run.
     how: str  # The reason to expect equal runs: ``replay``, ``original``, or ``same settings``.
-    verdict: str  # The result of the comparison with the reported run, or ``not compared``.
+    verdict: str  # The result of comparing the run ``label`` with the reported run, or ``not compared``.
     reason: str
     lines: Sequence[str]  # the whole comparison
 

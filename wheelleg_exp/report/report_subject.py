@@ -19,7 +19,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
 
 AGENT = "agent"
-KIND = "report"  # A run's manifest lists the run's reports as entries of this kind.
+KIND = "report"  # A run's manifest lists each report about the run as an entry of the kind ``report``.
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
 
 T = TypeVar("T")
@@ -40,7 +40,7 @@ class Subject:
     path: Path
     run: RunDirectory | None  # the training run; None for a zero or random agent's run, which has no manifest
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT  # the run's status in its manifest, ``crashed`` for a dead process, or ``agent`` for an agent
+    status: str = AGENT  # a training run's status, such as ``crashed``, or ``agent`` for a zero or random agent's run
     config: dict[str, Any] = field(default_factory=dict)  # the run's resolved config sections ``env`` and ``agent``
     overrides: list[str] | None = None  # the user's Hydra overrides, or None if they are unknown
     choices: dict[str, Any] = field(default_factory=dict)  # Hydra's option for each config group (``task``, …)

@@ -72,8 +72,8 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     """Yield those parameters of the run that differ from the task's defaults.
 
     ``default`` is the config of the run's task without overrides. ``again`` is the task's config with the run's
-    overrides, composed anew on this machine. The config ``again`` gives the origin of those values that are equal in
-    ``again`` and in the run.
+    overrides, composed anew on this machine. If a value in ``again`` equals the run's value, the value's origin (a
+    file or an override) is taken from ``again``.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -113,7 +113,7 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 def _require_harmless(words: Sequence[str]) -> None:
     """Raise ConfigError if a run's Hydra arguments would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
-        raise ConfigError("the run's recorded overrides are not composed, because Hydra could then read other files")
+        raise ConfigError("the run's overrides are not composed, as Hydra could read files outside the config folders")
 
 
 def _shown(value: Any) -> str:

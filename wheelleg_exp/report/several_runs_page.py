@@ -84,8 +84,8 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 def sentence(groups: Sequence[Group]) -> str:
     """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the runs differ in rewards, episode length, or discount, the headline compares their shares of time-outs instead
-    of returns. If the time-outs are unknown, the headline compares the survival rates that ``wheelleg play`` measured.
+    If the runs differ in rewards, episode length, or discount, the headline of the report compares time-out
+    shares, not returns. Without recorded time-outs, the report's headline compares survival rates of ``wheelleg play``.
     """
     text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:

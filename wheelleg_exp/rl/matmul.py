@@ -27,9 +27,9 @@ KEY = "agent.matmul"
 # A network layer with at least this number of weights is faster in bfloat16 than in float32, despite conversions.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers per block
-# These values of the environment variable ONEDNN_MAX_CPU_ISA allow all CPU instructions, including AMX.
+# ``_ANY`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow all CPU instructions, including AMX.
 _ANY = ("", "ALL", "DEFAULT")
-# These values of the environment variable ONEDNN_MAX_CPU_ISA allow bf16 vector instructions.
+# ``_WITH_VECTORS`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
 # Try several thread counts, because 16 threads can give the result of one thread although 2 threads do not.
 _COUNTS = (1, 2, 3, 4, 8, 16)
@@ -155,8 +155,8 @@ def _is_large(layer: nn.Linear) -> bool:
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
     """Return the output (..., O) of a linear layer, whose matrix products have only bfloat16 factors.
 
-    The input ``x`` (..., I) is float32 or bfloat16, and ``bias`` (O,) is added in float32. With ``elu``, ELU with alpha
-    1 follows: exp(y) - 1 where y is negative. The layer's output is bfloat16 if ``elu`` is True, otherwise float32.
+    The input ``x`` (..., I) is float32 or bfloat16, and ``bias`` (O,) is added in float32. If ``elu`` is True, ELU
+    with alpha 1 is applied to the output. ``linear`` returns bfloat16 if ``elu`` is True, otherwise float32.
     """
     return _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
 

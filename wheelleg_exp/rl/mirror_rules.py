@@ -71,7 +71,7 @@ _NAMES_BY_RULE = {
     "body_vectors": ("body_projected_gravity_b",),
 }
 TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
-# The keys are the classes of built-in commands, and the values are mirror rules (changes in a mirror image).
+# ``COMMAND_RULES`` maps each class of built-in commands to the command's mirror rule (change in a mirror image).
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",

@@ -96,7 +96,7 @@ def agent_options(agent: Any) -> type:
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# These parameters are checked at any depth of the config section `agent`, because rsl_rl accepts invalid values.
+# Config keys in ``PARAMETERS`` are checked at any depth of the section `agent`: rsl_rl accepts invalid values.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,

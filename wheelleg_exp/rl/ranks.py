@@ -37,7 +37,8 @@ _COMMUNICATION = Path(dist.__file__).parent
 class FirstRankFailed(WheellegError):
     """Raised on all processes (ranks) but the first after a training failed; the first rank reports the reason.
 
-    ``keeps`` is true if the first process (rank) saves the state with NaN or inf, and the last iteration's checkpoint.
+    ``keeps`` is true if NaN or inf ended the training; the first process (rank) then saves a checkpoint of the last
+    iteration.
     """
 
     exit_code = EXIT_FAILED

@@ -13,7 +13,7 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # The name of a failed term's scalar is this prefix and the term's config key.
+SCALAR = "Diagnostics/non_finite/"  # The scalar named ``SCALAR`` + config key counts a term's NaN and inf.
 
 
 class FailureCount:
@@ -105,7 +105,7 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the sums of running episodes, the last ended episodes, and the logs since ``collect`` was called."""
+        """Return rewards and lengths of running and ended episodes, and values logged since the last ``collect``."""
         self._take_pending()
         ended = {"returns": list(self._returns), "lengths": list(self._lengths)}
         values = {key: list(values) for key, values in self._values.items()}

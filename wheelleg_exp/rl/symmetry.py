@@ -185,7 +185,7 @@ def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
 
 
 def is_mirror_loss_only(symmetry: Any) -> bool:
-    """Return whether rsl_rl uses ``left_right`` only for its mirror loss, which ``mirror_loss`` computes faster."""
+    """Return whether rsl_rl mirrors samples with ``left_right`` only for its mirror loss, not for data augmentation."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
     return ours and not symmetry.use_data_augmentation
 

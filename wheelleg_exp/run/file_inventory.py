@@ -92,8 +92,8 @@ def odd_entries(directory: Path) -> dict[str, str]:
 def relative_name(directory: Path, path: Path) -> str:
     """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
 
-    A relative ``path`` starts at the working directory; if it is then outside ``directory``, it starts at
-    ``directory``.
+    A relative ``path`` is resolved against the working directory, or against ``directory`` if the first result is
+    outside ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):

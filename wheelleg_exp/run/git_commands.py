@@ -117,7 +117,7 @@ def join_nul(names: Iterable[str]) -> bytes:
 def scratch_index(repository: Repository) -> Iterator[Repository]:
     """Yield a copy of ``repository`` that uses a temporary copy of git's index and a temporary git object store.
 
-    Git commands on this copied repository change neither the user's index nor object store, and run no filter programs.
+    Git commands on the copy of a repository run no filter programs, and do not change the user's index or object store.
     """
     index = repository.top / repository.text("rev-parse", "--git-path", "index")
     objects = repository.top / repository.text("rev-parse", "--git-path", "objects")

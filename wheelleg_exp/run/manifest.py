@@ -112,8 +112,8 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
     """Return a document as JSON text; the last key, ``sha256``, is a hash of the text with zeros instead of the hash.
 
-    If ``broken`` is true, the text has zeros instead of a hash, because a new hash would hide a change of the old
-    document.
+    If ``broken`` is true, the JSON text has zeros instead of a hash, because a valid hash would hide that a user
+    changed the JSON file by hand.
     """
     text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -148,7 +148,7 @@ Ended = Literal["finished", "interrupted", "failed"]
 # The files that a run writes only before its first step; all other files of the run can grow during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
-# The manifest keys that a resume replaces, and whose old values the resume stores in ``resumes``.
+# `wheelleg resume` replaces the values of `_PROCESS_KEYS` in a run's manifest, and stores the old values in `resumes`.
 _PROCESS_KEYS = (
     *("status", "error", "ended", "process", "versions", "hardware", "threads", "environment_variables"),
     "files",
@@ -373,7 +373,7 @@ class Manifest:
         """Return the newest size and hash of every file of the run, including files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        # A run records all files at the run's end, so newer records come from later commands such as `wheelleg play`.
+        # File records that are newer than the end of the run come from later commands such as `wheelleg play`.
         earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
         later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}

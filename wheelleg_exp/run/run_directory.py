@@ -125,8 +125,8 @@ class RunDirectory(os.PathLike[str]):
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        If ``odd`` is true, links, pipes, and devices in the run directory raise no error. A caller that sets ``odd``
-        must report links, pipes, and devices in the run directory, and must not open them.
+        With ``odd=True``, links, pipes, and devices in the run directory raise no error. A caller that passes
+        ``odd=True`` must report links, pipes, and devices in the run directory, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()

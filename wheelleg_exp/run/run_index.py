@@ -183,8 +183,8 @@ class PipelineIndex(_RunIndex):
     pipeline's ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not
     pass. A phase's ``why`` is the reason to continue or to stop the pipeline after the phase. A phase's ``digest`` is a
     hash of the phase's config. A phase's ``run`` and ``init_from`` are paths of run directories, relative to the
-    pipeline's folder. A phase's ``trained`` is the number of finished training iterations, and ``gates`` contains
-    evaluation results.
+    pipeline's folder. In the entry of a training phase, ``trained`` is the number of finished iterations, and ``gates``
+    contains the evaluation results that decide whether the phase passed.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES

@@ -177,7 +177,7 @@ def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | No
     """Return whether ``wheelleg resume`` can continue a run, without opening the files of the run."""
     if status == "running" or total is None:
         return False
-    if checkpoint is None:  # Without a checkpoint, a resume needs the files from which the run can be built.
+    if checkpoint is None:  # A run without a checkpoint can be resumed if its config and robot files exist.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
     if (done or 0) < computed:  # A resume from the last checkpoint would leave a gap in the iteration log.

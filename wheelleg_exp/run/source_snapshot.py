@@ -28,7 +28,7 @@ SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
 # In git.json, a repository with the status "ok" or "no_commits" has a patch that restores the source files.
-# With any other status, the repository's note in git.json says why the source files were not stored.
+# If a repository's status is neither "ok" nor "no_commits", its note in git.json says why no patch was stored.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20

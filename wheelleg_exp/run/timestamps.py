@@ -25,7 +25,7 @@ def parse_utc(text: str) -> datetime:
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError(f"the time '{text}' has no time zone")
-    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # Python can convert the time zone only in a range of years.
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # `datetime.astimezone` can fail before 1970 and after 9998.
         raise ValueError(f"the time '{text}' is outside the years {_FIRST_YEAR} to {_LAST_YEAR}")
     return moment
 

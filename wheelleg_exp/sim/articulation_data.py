@@ -205,10 +205,10 @@ class ArticulationData(RobotData):
         After a reset or a write of velocities, all accelerations are 0 until the next physics step.
         """
         if self._vel_before is None:
-            # Compute the bodies' velocities at the last physics step's start, because the stored state lacks them.
-            # Write the stored state of the last physics step's start to the engine, and run the engine's kinematics.
-            # Restore the engine's present positions and velocities afterwards.
-            # Only the first read of an acceleration computes the velocities, because later steps store them.
+            # At the first read of an acceleration, compute the bodies' velocities at the start of the last step.
+            # Set the engine's qpos and qvel to the values at the start of the last physics step, and call ``forward``.
+            # After the bodies' velocities have been computed, restore the engine's present qpos and qvel.
+            # After the first read of an acceleration, each physics step stores the bodies' velocities.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
             self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))

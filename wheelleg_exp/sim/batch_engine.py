@@ -68,7 +68,7 @@ class BatchEngine(Engine):
 
     def view(self, name: str) -> torch.Tensor:
         if name not in self._views:
-            with warnings.catch_warnings():  # Torch would warn here that it cannot mark a tensor as read-only.
+            with warnings.catch_warnings():  # Hide torch's warning that the tensor of a read-only array is writable.
                 warnings.simplefilter("ignore", UserWarning)
                 self._views[name] = torch.from_numpy(self.batch.bind(name))
         return self._views[name]
@@ -108,8 +108,8 @@ class BatchEngine(Engine):
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        # MuJoCo detects NaN and huge values only at the start of a physics step, and resets the simulation.
-        # MuJoCo counts its resets, but does not detect invalid values after the last physics step, so check them here.
+        # At the start of a physics step, MuJoCo resets a simulation that has NaN or huge values, and counts a warning.
+        # Search qpos and qvel for NaN and inf, because MuJoCo checks a physics step's results only in the next step.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
@@ -154,7 +154,7 @@ class BatchEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        # MuJoCo's constants depend on the model fields at the last ``set_const``, so first write their old values.
+        # Compute MuJoCo's constants from the model fields that the last ``set_const`` used, then restore saved fields.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)

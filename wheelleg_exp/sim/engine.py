@@ -31,7 +31,7 @@ class Engine(Kept, ABC):
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: names of the model fields, and ``WRENCHES``, that terms have obtained from the engine and may have
-            changed. The event manager clears the set ``asked`` after each event term.
+            changed. The event manager empties ``asked``, the set of obtained model fields, after each event term.
     """
 
     name: ClassVar[str]
@@ -107,8 +107,8 @@ class Engine(Kept, ABC):
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        The reset replaces positions and velocities that are NaN or inf by the model's defaults. The reset does not
-        change other positions and velocities.
+        ``reset`` replaces positions and velocities that are NaN or inf by the model's defaults. ``reset`` does not
+        change valid positions and velocities.
         """
 
     @abstractmethod
@@ -137,7 +137,7 @@ class Engine(Kept, ABC):
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
         """Declare that a group's geoms never move, so that rays against them can be cast in a model without the robot.
 
-        The function ``alone`` returns a model that contains only the geoms of the group, with unchanged names.
+        ``alone`` returns a MuJoCo model that contains only the geoms of the group ``geom_group``, with unchanged names.
         """
         del geom_group, alone
 

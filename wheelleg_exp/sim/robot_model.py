@@ -150,9 +150,9 @@ def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
     """Rotate the root link's frame about its origin without moving the robot's shapes and masses.
 
-    The root link's frame must be rotated if its x axis is not forwards or its z axis is not upwards. Observations,
-    rewards, commands and ``env.robot.init_state.rot`` refer to the rotated frame of the root link. ``frame`` is a
-    quaternion (w, x, y, z), the rotated frame's orientation in the root link's frame of the MJCF file.
+    The root link's frame must be rotated if its x axis is not forwards or its z axis is not upwards. After
+    ``turn_root_frame``, observations, rewards, commands and ``env.robot.init_state.rot`` refer to the new root frame.
+    ``frame`` (w, x, y, z) is the orientation of the new frame relative to the root link's frame in the MJCF file.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)
@@ -164,7 +164,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
         if frame_or_element.frame is None:
             frame_or_element.set_frame(turned)
     if root.explicitinertial:
-        # Rotate an inertia given in the MJCF file. Otherwise, MuJoCo computes the inertia from the rotated geoms.
+        # Convert an inertia that the MJCF file contains to the rotated axes of the root link.
         ipos = np.empty(3)
         mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
         root.ipos = ipos

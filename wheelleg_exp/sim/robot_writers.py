@@ -151,7 +151,7 @@ class RobotWriters(Kept):
         self._write_velocity(ids, velocity[:, 0:3], rotation.rotate_inverse(matrix, velocity[:, 3:6]))
 
     def _write_velocity(self, ids: torch.Tensor, linear: torch.Tensor, angular: torch.Tensor) -> None:
-        """Write a free joint's velocities: ``linear`` of the link's origin in world axes, ``angular`` in link axes."""
+        """Write the linear velocity of the root link in world axes and its angular velocity in the root link's axes."""
         self._root_qvel.index_copy_(0, ids, torch.cat((linear, angular), dim=1).expand(ids.shape[0], -1))
         self.data.forget_accelerations(ids)
         self.mark_written(ids)
@@ -363,8 +363,8 @@ class RobotWriters(Kept):
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
         """Write the parameter ``name``, a gain or a limit, of the actuators.
 
-        Return the values written to each group of implicit actuators, whose torques MuJoCo's solver computes. Each
-        returned entry has the slice of the group's controls, the values (n, k), and the mask (k,) of written joints.
+        For each group of implicit actuators, return its slice of MuJoCo's actuators, its values (n, k), and a mask
+        (k,) of the joints in ``joints``. MuJoCo's solver computes the torques of implicit actuators.
         """
         self._has_new_targets = True  # The controls of MuJoCo actuators depend on the actuators' gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)

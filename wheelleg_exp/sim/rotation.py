@@ -10,7 +10,7 @@ from functools import cache
 
 import torch
 
-# This (16, 9) matrix maps the products q_a q_b of a unit quaternion's components to the rotation matrix.
+# ``_PRODUCTS_TO_MATRIX`` (16, 9) maps the products q_a q_b of a unit quaternion's components to the rotation matrix.
 _PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
 for _i in range(3):
     for _j in range(3):
@@ -32,7 +32,8 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
         _PRODUCTS_TO_QUAT[_i, _j, abs(_to)] = -1.0 if _negative else 1.0
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
-# This table maps products of half-angle cosines (index 0) and sines (index 1) of roll, pitch and yaw to a quaternion.
+# ``_HALF_ANGLES_TO_QUAT`` maps products of half-angle sines and cosines of roll, pitch, and yaw to a quaternion.
+# In each of the first three dimensions of ``_HALF_ANGLES_TO_QUAT``, index 0 means cosine, and index 1 means sine.
 _HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),

@@ -207,7 +207,7 @@ class Scene(Kept):
         return {"articulation": {"robot": root | joints}}
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
-        """Return, by name, the tensors in ``asked``, which terms have obtained from the engine and may have changed."""
+        """Return the tensors with the names ``asked``: model fields and wrenches that terms may have changed."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
         fields = sorted({*asked} - {WRENCHES})
         return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}

@@ -30,7 +30,7 @@ class GeomBoxes:
         self._all_high = self._high[ends].max(axis=0, initial=-np.inf)
 
     def reached(self, origins: Floats, directions: Floats) -> npt.NDArray[np.bool_]:
-        """Return a mask (n, G) of geoms that rays (n, R, 3) of each row may hit; the mask includes all hit geoms."""
+        """For n blocks of rays (n, R, 3), return a mask (n, G) of at least those geoms that each block's rays hit."""
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
@@ -42,8 +42,8 @@ class GeomBoxes:
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Clip rays to the box around all geoms; return the lower and upper corners (n, R, 3) of a box around each ray.
 
-        The rays are clipped by the slab method (Kay and Kajiya 1986). For a ray that misses the box around all
-        geoms, the lower corner is inf and the upper corner is -inf.
+        The rays are clipped by the slab method (Kay and Kajiya 1986). A ray that misses the box around all
+        geoms gets an empty box, whose lower corner is inf and whose upper corner is -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -78,7 +78,7 @@ class StaticGeoms:
         self._is_same: bool | None = None
 
     def are_still(self, expanded: Collection[str]) -> bool:
-        """Return whether the model without the robot is valid, because no event has edited the static geoms."""
+        """Return True if rays can be cast in a model without the robot because no event has edited the static geoms."""
         if self._is_same is None:
             alone, here = self._make(), np.flatnonzero(self._model.geom_group == self._group)
             self._is_same = len(here) == alone.ngeom

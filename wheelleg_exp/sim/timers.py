@@ -1,7 +1,7 @@
 """Check on the host, without waiting for the GPU, whether countdown timers on a GPU may have expired.
 
-The smallest remaining time of the timers is copied from the GPU to the host asynchronously every few steps. No timer
-can have expired while the copied smallest time exceeds the time since its copy.
+The smallest remaining time of all timers is copied from the GPU to the host asynchronously every few steps. Until
+the copied smallest remaining time has passed, no timer on the GPU can have expired.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # The smallest timer is copied from the GPU every 16 steps.
+_EVERY = 16  # The smallest remaining time of the timers is copied from the GPU every 16 control steps.
 _SLACK = 1e-3  # s
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return False if no timer on a GPU can have expired; return True for timers on a CPU, which callers can read.
+    """Return False if none of the ``timers`` on a GPU can have expired; always return True for timers on a CPU.
 
     Call ``may_be_due`` once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since
-    the last call, s. Code that sets a timer to less than ``least`` seconds must drop the copied times with ``forget``.
+    the last call, s. After code has set a timer to less than ``least`` seconds, the code must call ``forget``.
     """
     if not timers.is_cuda:
         return True
@@ -27,12 +27,12 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Drop the timers' lower bounds on the host, after code has set timers, for example from a checkpoint."""
+    """Discard remaining times that were copied from the GPU; call ``forget`` after code has changed timers."""
     _bounds.clear()
 
 
 class _Bound:
-    """A lower bound of the smallest remaining time, computed from the last copy of this time that reached the host."""
+    """A lower bound, s, of the time until the first timer on a GPU expires, computed from the last copy to the host."""
 
     def __init__(self) -> None:
         self._bound = float("-inf")

@@ -84,7 +84,7 @@ class ModelFields:
         return self.own[name]
 
     def restore(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Write the values in ``saved`` to their model fields, and the model's values to all other expanded fields."""
+        """Restore all model fields with one value per simulation from ``saved``; missing fields get initial values."""
         for name in saved:
             self.expand(name)
         for name, values in self.own.items():

@@ -34,7 +34,7 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
             if device.type == "cpu":
                 wp.config.optimization_level = 0  # In CPU tests, compiling kernels takes longer than the physics steps.
                 # Warp's C++ code writes a warning about a missing CUDA driver directly to file descriptor 2.
-                # Redirect file descriptor 2 to hide the warning while Warp starts.
+                # Redirect file descriptor 2 while Warp starts, to hide Warp's warning about a missing CUDA driver.
                 sys.stderr.flush()
                 saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
                 try:

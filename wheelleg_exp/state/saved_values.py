@@ -52,7 +52,7 @@ GENERATORS: dict[str, Generator] = {
 class Kept:
     """Marks objects whose state other code saves.
 
-    If an attribute contains an instance of ``Kept``, the attribute's object does not save the state of this instance.
+    When an object saves its attributes, it skips attributes of the class ``Kept``, because other code saves them.
     """
 
 

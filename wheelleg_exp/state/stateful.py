@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # `_TENSOR` replaces the initial value of a tensor attribute that is always saved.
+_TENSOR = "a tensor"  # In an object's initial state, `_TENSOR` replaces each tensor that checkpoints always contain.
 
 
 class _Base(NamedTuple):
@@ -165,7 +165,9 @@ class Settings:
                 try:
                     change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
                 except Unsaveable as error:
-                    raise ConfigError(f"a changed value cannot be saved: the setting {error}", key=self._key) from error
+                    raise ConfigError(
+                        f"a term's setting was changed to a value that cannot be saved: it {error}", key=self._key
+                    ) from error
                 found.setdefault(group, {})[name] = change
         return found
 

@@ -142,8 +142,8 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object that share memory always raise ConfigError. A tensor of an object in ``owners`` may share
-    memory with a tensor of another object or a tensor from ``others()``, if the memory is shared during the whole run.
+    Two tensors of one object that share memory always raise ConfigError. Tensors of two different objects may share
+    memory only if the two tensors share memory during the whole run.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:

@@ -26,10 +26,10 @@ class Misfit:
 
     message: str
     expected: str
-    # The keys lead from the config value to its wrong part; for a wrong element of a list, to the list.
+    # ``keys`` is the path of the wrong part in a checked config value; a wrong list element has the path of the list.
     keys: tuple[str, ...] = ()
-    nearest: str | None = None  # The valid word in ``nearest`` is most similar to the wrong value.
-    is_type: bool = False  # True means a value of a wrong type; False means a value out of range.
+    nearest: str | None = None  # ``nearest`` is the valid word that is most similar to the wrong config value.
+    is_type: bool = False  # ``is_type`` is true for a config value of a wrong type, and false for a value out of range.
 
 
 def fits(value: Any, annotation: Any) -> bool:
@@ -97,7 +97,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         if not isinstance(value, (list, tuple)):
             return [_wrong_type(value, annotation)]
         return _of_elements(value, annotation, kind, arguments)
-    # A parameter that is an object needs a ``_target_`` node; the module config_sections checks config sections.
+    # A parameter whose annotation is a dataclass needs a config node with ``_target_``, which builds the dataclass.
     built = isinstance(value, Mapping) and "_target_" in value
     if built or not (isinstance(kind, type) and dataclasses.is_dataclass(kind)) or isinstance(value, kind):
         return []
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # The error describes the expected value by the constraints of the type annotation.
+    if found:  # The expected value in each error must also contain the constraints of the type annotation.
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -218,7 +218,7 @@ def type_words(annotation: Any) -> str:
 
 
 def options_in(annotation: Any) -> Iterator[Any]:
-    """Yield each member type of a union annotation, or the one type of another annotation, without constraints."""
+    """Yield the type of an annotation, or each member type of a union annotation, without ``Annotated`` constraints."""
     annotation = bare(annotation)
     if typing.get_origin(annotation) not in (typing.Union, types.UnionType):
         yield annotation

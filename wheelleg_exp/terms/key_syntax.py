@@ -20,7 +20,7 @@ def is_override(word: str) -> bool:
 
 
 def dotted(keys: Iterable[str]) -> str:
-    """Return a config path as text. In the text, brackets enclose each key that contains dots or brackets."""
+    """Join the keys of a config path with dots, but enclose each key that contains dots or brackets in brackets."""
     return functools.reduce(below, keys, "")
 
 
@@ -36,7 +36,7 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # Hydra's primary config of a pipeline and the config section in it have this name.
+PIPELINE = "pipeline"  # ``pipeline`` is the name of a Hydra primary config and of the config section in it.
 
 
 def names_pipeline(word: str) -> bool:

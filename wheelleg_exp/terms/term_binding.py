@@ -21,7 +21,7 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# Configs can call functions and classes of these subpackages: terms, noise, entities, actuators, and sensors.
+# ``_OWN_PACKAGES`` are subpackages whose functions and classes (such as terms and sensors) configs can call.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
@@ -39,7 +39,7 @@ def allowed_packages() -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
 
-# Cache the packages that configs may call, because reading the metadata of all installed packages is slow.
+# Cache the packages that configs can call, because reading the metadata of all installed packages is slow.
 _declared_packages = functools.cache(installed_packages)
 
 
@@ -47,7 +47,7 @@ def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call arbitrary code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
-        # Suggest the wrong dotted path with its top package replaced by the most similar allowed package.
+        # Suggest a dotted path in which the most similar allowed package replaces the wrong top package.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
         declared = 'or in a package that your project declares (recipe "A term of your own")'
@@ -61,9 +61,9 @@ def is_inside(name: str, packages: tuple[str, ...]) -> bool:
     return any(name.startswith(f"{package}.") for package in packages)
 
 
-_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # Only Hydra's ``instantiate`` reads these keys.
+_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # No term can contain Hydra keys such as ``_args_``.
 
-# For each config section, managers read these fields of a term; a term's function must not use the same names.
+# ``RESERVED`` lists, by config section, a term's keys that the manager reads; a parameter cannot have such a name.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),
@@ -97,15 +97,15 @@ FIELD_TYPES: dict[str, Any] = {
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # A user-defined event mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
-# Each of these fields of an event term has an effect only in one event mode, whose name is the value.
+# ``MODE_FIELDS`` maps a field of an event term to the only event mode in which this field has an effect.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
-# Managers pass these arguments to the function of every term, so a config must not contain these arguments.
+# Managers pass ``env``, ``env_ids``, and ``generator`` to terms, so the config of a term cannot set these arguments.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = ["cfg", "env"]  # Classes that were written for Isaac Lab have constructors with these parameters.
+_CFG_ENV = ["cfg", "env"]  # Constructors of classes for Isaac Lab have the parameters ``cfg`` and ``env``.
 
-# Configs of earlier versions can contain these old ``_target_`` paths; the values are the current paths.
+# ``_MOVED`` maps old ``_target_`` paths, which configs of earlier versions can contain, to the current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
 
 
@@ -226,7 +226,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
         raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
-    # Check where the function or class is defined, because a module in an allowed package can import foreign code.
+    # Check the package that defines the function or class ``found``, because an allowed module can import foreign code.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
@@ -258,8 +258,8 @@ def takes_cfg(target: Callable[..., Any]) -> bool:
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class whose signature lists the parameters that a config can set.
 
-    For a class with the constructor ``(cfg, env)``, return the method ``__call__``. Without this method, return the
-    class in the annotation of ``cfg``. Every other function or class is returned unchanged.
+    For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or, without ``__call__``, the class
+    in the annotation of ``cfg``. A function, or a class with another constructor, is returned unchanged.
     """
     if not takes_cfg(target):
         return target

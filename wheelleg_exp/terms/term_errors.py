@@ -126,8 +126,8 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of the parameters of a function or class, including constraints.
 
-    Annotations with a class that is imported only under ``TYPE_CHECKING`` are omitted. For example, terms written for
-    Isaac Lab annotate the environment with a class that is imported only under ``TYPE_CHECKING``.
+    The result omits annotations whose class is imported only under ``TYPE_CHECKING``, such as the environment's
+    annotation in terms that were written for Isaac Lab.
     """
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -151,9 +151,9 @@ def has_target(value: Any) -> bool:
 
 @contextmanager
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
-    """Convert an exception that building a part of the scene raises into an error at the config key ``path``.
+    """Convert an exception in the code of a scene part, such as a sensor, into an error at the config key ``path``.
 
-    ``has_worked`` is true if this part of the scene was already built once; the error is then a SimulationFailure.
+    The error is a SimulationFailure if the scene part was built without errors (``has_worked``), else a ConfigError.
     """
     try:
         yield

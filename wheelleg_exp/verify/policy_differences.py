@@ -39,7 +39,7 @@ class Pair:
     state: Literal["bytes", "content", "different", "unreadable"]
     count: int = 0  # The number of tensors, numbers, and texts that differ between two checkpoints.
     of: int = 0
-    differences: list[Difference] = field(default_factory=list)  # The list starts with differences of network weights.
+    differences: list[Difference] = field(default_factory=list)  # Differences of network weights are listed first.
     by_part: dict[str, int] = field(default_factory=dict)  # The number of differences in each part of two checkpoints.
     parameters: float | None = None  # The relative Euclidean distance between the parameters of two networks.
     problem: str | None = None  # The reason why a checkpoint file cannot be read.
@@ -169,7 +169,7 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
-    # Ignore class-name numbers and the order of constants, which depend on the process that wrote the archive.
+    # Ignore the numbers in TorchScript class names and the order of constants, because both vary between processes.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)

@@ -39,7 +39,7 @@ class Comparison:
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
     environment: list[FactDifference]  # How the code, versions, hardware, threads, and variables of two runs differ.
-    tolerance: Tolerance | None = None  # How far two runs deviate; None if the runs are equal or must be equal.
+    tolerance: Tolerance | None = None  # None, unless a cause such as another CPU explains two runs' unequal numbers.
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""

@@ -147,20 +147,20 @@ _ALLOWING: dict[str, dict[str, str]] = {
 }
 _THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
 
-UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # The hardware fact that is unknown until torch is imported.
+UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # Torch reports its CPU instruction set only after its import.
 
 
 @dataclass(frozen=True)
 class FactDifference:
     """One recorded fact that differs between two runs."""
 
-    section: str  # The manifest section that contains the fact, or ``code``, ``resumed``, or ``distributions``.
+    section: str  # The differing part of two runs, such as ``versions``, ``hardware``, ``code``, or ``resumed``.
     name: str
-    a: Any  # The value of the fact ``name`` in run A; a list of values if a resume changed the value.
+    a: Any  # The value in the first of two runs, such as the CPU model; a list of values if a resume changed the value.
     b: Any
-    allows: str | None = None  # Why the fact ``name`` can change the last digits of numbers; None if the fact cannot.
-    forbids: bool = False  # True if the fact ``name``, such as code, can change numbers by any amount.
-    note: str = ""  # A text that describes how the fact ``name`` differs between two runs.
+    allows: str | None = None  # Why a difference such as another CPU can change the last digits of numbers, or None.
+    forbids: bool = False  # True if a difference such as other code can change numbers by more than rounding.
+    note: str = ""  # A text that describes how the source code of two runs differs.
 
 
 def environment_differences(
@@ -168,8 +168,8 @@ def environment_differences(
 ) -> list[FactDifference]:
     """Return how two run manifests, or parts of manifests, differ in versions, hardware, threads, and variables.
 
-    A section that only one manifest has is skipped. Facts in ``unknown``, which one of the two manifests does not
-    record, are not compared.
+    A section that only one of the two manifests has is skipped. Manifest entries whose names are in ``unknown``, such
+    as ``torch_cpu_capability``, are not compared.
     """
     found = []
     for section in SECTIONS:

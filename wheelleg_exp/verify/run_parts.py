@@ -45,7 +45,7 @@ class Span:
 
     until: int
     whole: bool  # True if all iterations of both runs are compared.
-    closed: bool  # True if ``whole`` is true and neither of the compared runs was killed.
+    closed: bool  # True if all iterations of both runs are compared and neither run was killed.
     shorter: str | None = None  # ``A`` or ``B``, the run with fewer iterations; None if unequal lengths are allowed.
 
     def covers(self, name: str) -> bool:
@@ -114,7 +114,7 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the hashes in both log lines; no names if two different algorithms computed the hashes."""
+    """Return the names of the hashes that both iteration-log lines contain; no names if the hash algorithms differ."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 

@@ -21,7 +21,7 @@ class Difference:
 
     name: str
     kind: str  # The kind of difference: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
-    a: Any  # The value in mapping A: the element at ``index``, or the shape, dtype, or type of the value.
+    a: Any  # The differing number, text, shape, dtype, or type in the first of two compared mappings.
     b: Any
     index: tuple[int, ...] = ()  # The index of the tensor element with the largest difference.
     largest: float | None = None  # The largest absolute difference of two tensors, which can be NaN or inf.
@@ -96,7 +96,7 @@ def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     odd = differs & ~apart.isfinite()
     if bool(odd.any()):
         at = int(odd.int().argmax())
-    else:  # Find the tensor element with the largest difference, otherwise the first element whose bits differ.
+    else:  # If all differences of two tensors are 0, find the first element whose bits differ, as in 0.0 and -0.0.
         at = int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
     largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
     scale = max(abs(one), abs(other))

@@ -41,10 +41,10 @@ class Excess:
     """The values of one number in two runs, their deviation, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # The training iteration of ``a`` and ``b``; None if ``a`` and ``b`` are means.
+    iteration: int | None  # The training iteration of two compared values; None for means over several iterations.
     a: float
     b: float
-    off: float  # The deviation between ``a`` and ``b``, relative for values of one iteration, absolute for means.
+    off: float  # The relative deviation of two values; for means over several iterations, the absolute deviation.
     allowed: float
 
     @property
@@ -64,12 +64,12 @@ class Tolerance:
 
     start: list[Excess]  # The largest deviations between two runs in the first iteration in which the runs differ.
     end: list[Excess]  # The deviations between two runs' final returns and between their final episode lengths.
-    note: str = ""  # A text about the numbers of two runs that were not compared.
+    note: str = ""  # A text that explains which numbers of two runs were not compared, and why.
     needs_end: bool = False  # True if two runs must also agree in their final returns and episode lengths.
 
     @property
     def unknown(self) -> bool:
-        """True if two runs agree in the first differing iteration, but lack the final values that must be compared."""
+        """True if the first deviations of two runs are allowed, but both lack a final return and episode length."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
@@ -107,8 +107,8 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
     """Measure the deviations between two runs in the iterations that both runs have.
 
     ``parameters`` contains the first iteration in which two runs differ, and the relative distance between their
-    network parameters in this iteration. ``parameters`` is None if a run saved no checkpoint in the first differing
-    iteration. ``whole`` is true if ``a`` and ``b`` contain all iterations of the two runs.
+    network parameters in this iteration. ``parameters`` is None if a run has no checkpoint of the first iteration in
+    which the two runs differ. ``whole`` is true if ``a`` and ``b`` contain all iterations of the two runs.
     """
     parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
     start = [] if parting is None else [_start(*parting)]
@@ -129,7 +129,7 @@ def _start(a: Line, b: Line) -> Excess:
     for name in dict.fromkeys([*a.scalars, *b.scalars]):
         one, other = a.scalars.get(name), b.scalars.get(name)
         if one != other:
-            # The iteration log contains NaN as text, and one of two runs can lack a scalar, so convert both values.
+            # Convert scalars that are missing, or that the iteration log contains as the text NaN, to the float NaN.
             x, y = _number(one), _number(other)
             off = math.inf if math.isnan(x) or math.isnan(y) else abs(x - y) / max(abs(x), abs(y), _TINY)
             excesses.append(Excess(name, a.iteration, x, y, off, START))

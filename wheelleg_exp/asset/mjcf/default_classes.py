@@ -87,7 +87,7 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         across = points - middle - np.outer((points - middle) @ along, along)
         first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
-        # A mesh counts as round if its extents in eight directions perpendicular to the axis are nearly equal.
+        # A mesh is round about the joint's axis if its extents in eight directions across that axis are nearly equal.
         reach = [
             float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
             for angle in np.linspace(0, np.pi, 8, endpoint=False)

@@ -79,7 +79,7 @@ class _File:
         # COLLADA nodes can refer to each other, so a COLLADA file of a few lines could describe millions of parts.
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
-            raise ValueError("the COLLADA nodes refer to each other in a cycle, or multiply to too many shapes")
+            raise ValueError("the COLLADA file's nodes refer to each other in a cycle, or describe too many shapes")
         matrix = above
         for child in node.children:
             matrix = matrix @ _transform(child)

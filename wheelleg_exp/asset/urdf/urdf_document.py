@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # The end tags of these XML elements have not been read yet.
+    stack: list[tuple[Element, list[str]]] = []  # ``stack`` contains XML elements whose end tags are still unread.
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)

@@ -25,7 +25,8 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-PLANAR = ("_transX", "_transY", "_rotZ")  # The names of a planar joint's slides and hinge end like this.
+# A planar URDF joint becomes two MuJoCo slides and one MuJoCo hinge, whose names end with the suffixes in PLANAR.
+PLANAR = ("_transX", "_transY", "_rotZ")
 
 Range = tuple[float, float]
 

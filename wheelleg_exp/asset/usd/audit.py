@@ -1,7 +1,8 @@
 """Report every authored physics property, schema, and prim of a USD stage that the converter has not read.
 
 The module's tables map name patterns of USD properties, schemas, and prim types to the reason why the MJCF omits them.
-If several patterns match a name, the first pattern gives the reason. A USD property that matches no pattern is unknown.
+If several name patterns match a USD property, the conversion report gives the first pattern's reason for omitting the
+property. If no name pattern matches a USD property, the conversion report says that the property is not known.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# The conversion report lists each attribute of the following USD schemas, but not the schemas themselves.
+# If a USD schema matches _BY_ATTRIBUTES, the conversion report lists the schema's attributes instead of the schema.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"
@@ -116,7 +117,7 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why the MJCF omits a USD API schema; None if the schema has no physics or is reported by attribute."""
+    """Return why the MJCF omits a USD API schema; None if the schema has no physics or its attributes are reported."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]
@@ -192,7 +193,7 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         if "PhysicsMaterialAPI" in applied:
             return "not needed: the bound shapes have a mass, or nothing is bound to this material"
         return "mass properties count only on bodies, colliders, and materials"
-    # If the MJCF omits a whole joint, each property of the joint is reported with this reason.
+    # If the MJCF omits a USD joint, the report gives this omission as the reason for each property of the joint.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"

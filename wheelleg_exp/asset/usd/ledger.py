@@ -1,8 +1,8 @@
 """Read USD attributes as plain Python values, check the values, and record the MJCF part made from each attribute.
 
 An attribute in a USD file can have a value of any type and size. Text in place of a number, NaN, and implausibly large
-numbers raise an error that names the prim and the attribute. A value that means "not given", such as a mass of 0 or an
-infinite limit, is not an error; the code that reads the attribute handles the value.
+numbers raise an error that names the prim and the attribute. Values that mean "not given" in USD, such as a mass of 0
+or an infinite limit, raise no error.
 """
 
 from __future__ import annotations

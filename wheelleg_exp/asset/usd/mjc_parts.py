@@ -1,7 +1,7 @@
 """Read actuators, tendons, and keyframes of MuJoCo's USD schemas, with their attributes in MJCF's types.
 
-Only authored values are read. USD writes what differs from the schema's default, so one end of a range may be missing:
-it is 0. A keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
+The module reads only authored USD values. If a USD file has only one end of a range, the other end of the range is 0. A
+keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
-Names = Mapping[str, str]  # The keys are USD prim paths; the values are the names of MJCF elements.
+Names = Mapping[str, str]  # ``Names`` maps the path of each USD prim to the name of its MJCF element.
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers

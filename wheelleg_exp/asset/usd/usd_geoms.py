@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # The first collision bit is for shapes without collision rules; each class with rules has one further bit.
+    # Shapes without collision rules use collision bit 0; shapes with equal collision rules share one of the other bits.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -210,7 +210,7 @@ def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Yield USD's filtered pairs of bodies; add USD's filtered pairs with a single shape to the collision rules."""
+    """Yield the body pairs of ``physics:filteredPairs``; if a prim of a pair is a shape, add the pair to ``rules``."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -271,7 +271,7 @@ def _body_pairs(
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the body pairs without any contact, and the body pairs of which only some shapes never touch.
 
-    Bodies whose shapes have the same class numbers (``_Rules.classes``) are handled together.
+    To save time, the function compares sets of bodies whose shapes have the same collision rules, not single bodies.
     """
     if not forbidden:
         return [], []
@@ -301,7 +301,8 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
         if all(value is None or value for value in values):
             continue
-        # A collision setting on a prim applies to the bodies at or below the prim, or to the bodies of a joint prim.
+        # A self-collision setting on a USD joint applies to the bodies that the joint connects.
+        # A self-collision setting on any other USD prim applies to the bodies at or below the prim.
         path = str(prim.GetPath())
         joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
         for link in joined or graph.links.below(Sdf.Path(path)):

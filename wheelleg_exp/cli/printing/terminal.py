@@ -144,8 +144,8 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the terminal, with a hanging indent.
 
-    ``first`` is a label before the first line of ``text``, padded with spaces to ``indent`` characters. With an empty
-    ``first``, the first line of ``text`` is not indented.
+    ``first`` is a label before the first line of ``text``, padded with spaces to ``indent`` characters. If the label
+    ``first`` is empty, the first line of ``text`` is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""

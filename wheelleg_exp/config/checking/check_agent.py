@@ -85,7 +85,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         names = [known for module in modules for known in dir(module) if not known.startswith("_")]
         nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # Also check the module that defines the class, because an allowed module can import classes of other packages.
+    # Check the module in which the agent's class is defined: allowed modules can import classes of forbidden packages.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if defined_there else [refused]
 

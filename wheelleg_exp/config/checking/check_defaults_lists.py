@@ -141,7 +141,7 @@ def _term_file_error(file: MountedFile) -> ConfigError:
 
 
 def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
-    """Return the config without parameters that a config file puts into a section of terms, but outside of any term."""
+    """Return a config without misplaced term parameters, such as ``env.rewards.weight`` outside of any reward term."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
         section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
@@ -154,7 +154,7 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """In each error about an unread key, name the defaults list or override that put a config file at this key.
 
-    Remove an error about a missing ``_target_`` if the config file of the term is at an unread key.
+    Remove the error about a term's missing ``_target_`` if Hydra put the term's file at a key that no code reads.
     """
     astray: set[str] = set()
     for error in errors:
@@ -171,7 +171,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the config files at a key that no code reads; return no files if an override also sets a subkey."""
+    """Return the config files that Hydra put at an unread key, if only these files set values at or below the key."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]

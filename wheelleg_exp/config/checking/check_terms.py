@@ -139,7 +139,7 @@ def _nearest_target(target: str) -> str | None:
 
 
 def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in the ``_target_`` nodes of sensors, actuators, noise models, and all other non-terms."""
+    """Return the mistakes in ``_target_`` nodes that are not terms, such as sensors, actuators, and noise models."""
     terms = {path for _, path, _ in term_nodes(config)}
     errors: list[ConfigError] = []
     for path, node in binding.walk_nodes(config):

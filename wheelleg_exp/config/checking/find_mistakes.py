@@ -89,7 +89,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Reuse the Hydra repository of the class Loader, because this repository has the complete search path.
+        # Reuse the config repository that Hydra's loader created, because this repository has the complete search path.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -140,7 +140,7 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
     """Remove errors that are only consequences of errors about keys that no code reads.
 
     If no code reads a key, the errors for its subkeys are removed. The error for a missing key is removed if an unread
-    key is a misspelling of the missing key. An error for a ``_target_`` in a forbidden package always remains.
+    key is a misspelling of the missing key. An error about a ``_target_`` in a forbidden package is never removed.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -156,8 +156,8 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
     """Return whether an error can be a consequence of ``lost``, the config keys whose content is unknown.
 
-    An entry of ``lost`` with a leading dot, such as ``.alive``, matches a key ``alive`` at any depth of the config. An
-    empty string in ``lost`` means that the content of every config key is unknown.
+    An entry of ``lost`` with a leading dot, such as ``.alive``, matches a key ``alive`` at any depth of the config.
+    If ``lost`` contains an empty string, the function returns true for each error about an override of a missing key.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -280,7 +280,7 @@ class _Search:
             self.overrides = kept
             return True
         if blamed:
-            return False  # The config error quotes several command-line words that do not form one override.
+            return False  # The shell split an override such as `key = value`, so no single override can be removed.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:

@@ -244,7 +244,7 @@ _ANOTHER_VALUE = "another value"
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    The function reads no config file, so an override cannot select an option of a config group. Null terms are removed.
+    An override cannot select an option of a config group, because no config files are read. Null terms are removed.
     An override of a missing key or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
@@ -274,9 +274,10 @@ def require_read(
 ) -> None:
     """Raise ConfigError if an override sets a config key that the calling command does not read.
 
-    ``read`` returns the values of a config tree that the command reads. An override can also repeat the old value of a
-    key that the command reads. ``instead`` maps a config key to the advice in the error for an override at or below the
-    key. The key ``""`` in ``instead`` stands for all remaining config keys.
+    ``read`` is a function that returns those values of a config tree that the calling command uses. An override of a
+    config key that the calling command uses is valid, even if the override repeats the key's old value. ``instead``
+    maps a config key to the advice in the error for an override at or below the key. ``instead[""]`` is the advice for
+    a config key without its own entry in ``instead``.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -300,7 +301,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Inside the ``with`` block, add the override of the wrong key to each ConfigError without a file and line."""
+    """Name the override of an invalid config key in each ConfigError from the ``with`` block that names no file yet."""
     try:
         yield
     except ConfigError as error:

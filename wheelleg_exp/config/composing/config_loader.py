@@ -65,8 +65,8 @@ def replaced_by(file: Path) -> tuple[str, int] | None:
 def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
     """Return the file to read for a config such as ``reward/alive``, if several folders contain a file of that name.
 
-    Of several files, the function returns the file with a ``# @replaces`` line. Raise ConfigError if a file would never
-    be read, if two files replace one file, or if the replaced file is missing.
+    A file with the line ``# @replaces reward/alive`` has priority over files of the same name in other config folders.
+    Raise ConfigError if a file would never be read, if two files replace one file, or if the replaced file is missing.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -97,7 +97,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# The exceptions that Hydra and OmegaConf raise for an invalid config; the last three are for values that do not merge.
+# The exceptions that Hydra and OmegaConf raise for invalid configs; a cycle of defaults lists raises RecursionError.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -240,7 +240,7 @@ class Loader(ConfigLoaderImpl):
         path = create_config_search_path(str(configs_dir()))
         schema = path.get_path().pop()
         for folder in map(config_folder, config_dirs):
-            join_folder(folder)  # Allow the Python packages that the user project of this folder declares.
+            join_folder(folder)  # Allow configs to call Python packages of the user project that contains ``folder``.
             path.append("config-dir", f"file://{folder}")
         path.append(schema.provider, schema.path)
         super().__init__(path)
@@ -289,7 +289,7 @@ class Loader(ConfigLoaderImpl):
         return self.repository.get_group_options(group, ObjectType.CONFIG)
 
 
-# A task file must have the package ``_global_``, even if it is the only file of the group.
+# A file of the config group ``task`` needs the line ``# @package _global_``, even if it is the group's only file.
 _ALWAYS = {"task": "_global_"}
 
 
@@ -313,7 +313,7 @@ def usual_header(repository: Repository, group: str, without: Path | None = None
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # Require only half of the files, because the file that is checked for a missing package line counts too.
+    # Require a `# @package` line in only half of a group's files, because the checked file, which lacks it, counts too.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 
@@ -321,7 +321,7 @@ def missing_headers(repository: Repository, explicit: Collection[str]) -> list[C
     """Find config files whose ``# @package`` line is misspelled, or missing although most files of the group have one.
 
     A file needs no ``# @package`` line if its config group is selected with a key, as in ``reward@env.rewards``.
-    ``explicit`` contains the names of the config groups that are selected with a key.
+    ``explicit`` contains each config group selected as ``group@key``, such as ``reward`` in ``reward@env.rewards``.
     """
     misspelled, missing = [], []
     for config_path, loaded in repository.loaded.items():

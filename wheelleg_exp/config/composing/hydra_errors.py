@@ -166,7 +166,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # Find the file that already selects an option of the group; skip the primary config, which overrides can change.
+    # Find the file whose defaults list already selects an option of the config group that is selected twice.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"
@@ -204,7 +204,7 @@ class DoesNotMerge(ConfigError):
 def translate(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
     """Convert an exception of Hydra or OmegaConf to a ConfigError.
 
-    ``loader`` is the loader that raised the exception. ``overrides`` contains the overrides as the user typed them.
+    ``loader`` is the config loader that raised ``error``. ``overrides`` contains the overrides as the user typed them.
     """
     spaced = _spaced(overrides)
     if spaced is not None:
@@ -327,7 +327,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
 
 def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
     key, where = override.key_or_group, where_of(override)
-    # List Hydra's own keys only for an override of one of Hydra's own keys.
+    # An error about an override suggests Hydra's own keys only if the override sets one of Hydra's own keys.
     plain = OmegaConf.to_container(cfg, resolve=False)
     tree = plain if isinstance(plain, dict) else {}
     shown = {str(name): node for name, node in tree.items() if (name == "hydra") == override.is_hydra_override()}
@@ -349,7 +349,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
-    # Optional keys in the table KEYS can be missing in all config files.
+    # Suggest `+key=value` for a valid config key (a key described in `KEYS`) that no config file sets.
     if key in KEYS and not override.is_delete() and lookup.at(shown, split_path(key)[:-1]) is not None:
         expected = "+" + str(override.input_line).lstrip("+")
         return AbsentKey("no file of the task sets this key", key=key, where=where, expected=expected)

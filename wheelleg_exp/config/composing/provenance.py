@@ -49,7 +49,7 @@ class Source:
 class Provenance(Mapping[str, Source]):
     """The last source (file and line, or override) of each value of a config, by dotted path.
 
-    ``deleted`` maps the key of each config value that an override removed to a source that names the override.
+    For each config key that an override removed, ``deleted`` contains a ``Source`` that names the override.
     """
 
     def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
@@ -79,13 +79,13 @@ class Provenance(Mapping[str, Source]):
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set the config key ``path``.
 
-        For a config section, return the file and line or override of the section's first value. For a missing config
-        key, return the file and line or override of the nearest existing parent section.
+        For a config section, return the file line or the override that set the section's first value. For a missing
+        config key, return the file line or the override that set the first value of the nearest parent section.
         """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Do not search a whole top-level section, because the file of the section's first value does not help users.
+        # Do not fall back to a top-level section such as `env`, because its first value is unrelated to a missing key.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # Make all values of the deleted key's parent section adjacent, without a change of their order.
+            # Move all values in the parent section of a deleted config key next to each other, without reordering them.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put a value's source at the position of the first source that it replaces, to keep the order of terms."""
+        """Put the new source of a config value where its first replaced source was, so that terms keep their order."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -143,7 +143,7 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # An empty mapping is not a replaced value, because later config files only add keys to the mapping.
+    # Do not list the source of an empty mapping as replaced, because later config files only add keys to the mapping.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
@@ -282,12 +282,12 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the config group whose options are at or above the key ``keys``; of several groups, the deepest one."""
+    """Return the config group whose options Hydra puts at the config key ``keys`` or at its nearest parent key."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 
 
 def option_of(mount: Mount, keys: Keys) -> str | None:
-    """Return the option of the config group ``mount`` whose term contains the key ``keys``; None outside terms."""
+    """Return the name of the term in a config key, such as ``alive`` in ``env.rewards.alive.weight``, or None."""
     depth = len(split_path(mount.package))
     return dotted(keys[depth : depth + 1]) if mount.several and len(keys) > depth else None

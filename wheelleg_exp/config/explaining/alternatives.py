@@ -223,7 +223,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the keys that complete ``text``, such as ``env.`` or ``seed=``; with ``removable``, also ``env``."""
+    """Return the config keys that start with ``text``; without ``removable``, the keys end with ``.`` or ``=``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []

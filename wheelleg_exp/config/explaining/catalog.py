@@ -112,7 +112,7 @@ class Entry:
     """One option of a config group.
 
     ``help`` describes the config group's option in one line; it is empty if the option's file has no comment.
-    ``target`` is the ``_target_`` of the term in the option's file, or None if the file contains no term.
+    ``target`` is the ``_target_`` in the YAML file of a config group's option, or None if the file has no ``_target_``.
     """
 
     group: str

@@ -92,7 +92,8 @@ class Side:
 class PlacedChange:
     """One difference between two configs, with the file and line or override of both values.
 
-    ``is_term`` is true if a whole term or the order of terms differs. ``note`` describes the effect of the difference.
+    ``is_term`` is true if a whole term or the order of terms differs. ``note`` explains the effect of the two configs'
+    difference, such as ``they run in this order``.
     """
 
     kind: Kind

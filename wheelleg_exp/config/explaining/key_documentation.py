@@ -181,7 +181,7 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# A unit at the start of a line needs one of these words after it, so that "N environments" does not mean newtons.
+# A unit that starts a line needs a word such as "of" after it, so that "N environments" does not mean newtons.
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")

@@ -16,7 +16,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 wrap_to_pi = rotation.wrap_to_pi
-SMALL = 1e-6  # For angles x below 1e-6 rad, the functions use sin(x) = x.
+SMALL = 1e-6  # Functions of rotation vectors approximate angles below 1e-6 rad, to avoid a division by 0.
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

@@ -22,7 +22,7 @@ from wheelleg_exp.sim.timers import forget
 class Axis:
     """One component of a command term, such as a speed, with the component's range [low, high] in its unit."""
 
-    name: str  # The name of an axis is lin_vel_x, for example, or <term>.lin_vel_x if several terms have lin_vel_x.
+    name: str  # A command component's name, such as lin_vel_x; <term>.lin_vel_x if two command terms have lin_vel_x.
     term: str
     component: str
     low: float

@@ -312,7 +312,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # A keyboard key or a drive script changed this axis's command.
+                if self._mirrored.get(name) != value:  # A key or a drive script changed the robot's command ``name``.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 

@@ -91,7 +91,7 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return the robot's height and measured commands; call once per step, because the height needs ray casts."""
+        """Return the robot's height and the measured values of all commanded quantities; call once per control step."""
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])

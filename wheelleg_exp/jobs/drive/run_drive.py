@@ -37,7 +37,7 @@ _DISTURBANCES = ("interval", "step")  # The modes of event terms that act during
 
 
 def scenes() -> list[str]:
-    """Return the names of all grounds, which are ``own`` (as in training) and the options of the group ``scene``."""
+    """Return the names of the grounds for driving: ``own`` (the training's ground) and all configs in ``scene/``."""
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 

@@ -1,8 +1,8 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
-The folder is written atomically, after each exported policy file has computed the same actions as the simulation. The
-exported environment has no noise, delays, or events, because a real robot has noise, delays, and disturbances. The
-metadata of ``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
+The exported folder is written atomically, after each policy file has given the same actions as the trained policy in
+simulation. The exported environment has no noise, delays, or events, because a real robot has noise, delays, and
+disturbances. The metadata of ``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Exported:
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]  # the largest difference of each policy file's actions from the simulated actions
+    differences: Mapping[str, float]  # the largest difference between a policy file's and the trained policy's actions
     notes: Sequence[str]  # Each note names a missing part of the exported folder, with the reason.
 
 

@@ -55,7 +55,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return the meaning of a sensor reading, such as ``base_quat``, ``commands.<term>``, or ``<imu>.<quantity>``."""
+    """Return the unit, meaning, and function of a policy's input, such as ``base_quat`` or ``<imu>.<quantity>``."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):

@@ -58,7 +58,7 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return the Hydra overrides of one phase's training, except ``init_from`` and ``agent.max_iterations``.
+    """Return the Hydra overrides for training a pipeline's phase, except ``init_from`` and ``agent.max_iterations``.
 
     ``overrides`` are the overrides of the command line, which apply to all phases of the pipeline.
     """
@@ -129,7 +129,7 @@ def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
 
 
 def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
-    """Return an error in a phase's training config as an error at the causing key of the pipeline's config."""
+    """Convert an error in a phase's training config into an error that names the wrong key in the pipeline's config."""
     blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
     if blamed == f"task={phase.task}":
         return _at_key(error, f"{key}.task")
@@ -141,20 +141,20 @@ def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: S
 
 
 def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
-    """Return an error in a gate (evaluation of a phase) as an error at the causing key of the pipeline's config."""
+    """Convert an error in a phase's evaluation into an error that names the wrong key in the pipeline's config."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
     if blamed == f"protocol={gate.protocol}":
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
-    # Several overrides together can cause a wrong value, so the error names the gate's whole list of overrides.
+    # Several overrides can cause one wrong value, so the error names the phase's whole list ``gate.overrides``.
     if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):
         return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", "")
     return error
 
 
 def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
-    """Return ``error`` with the config key ``key``; unless ``blamed`` is None, its message names its original key."""
+    """Return ``error`` as an error of the key ``key``; unless ``blamed`` is None, its message names ``error.key``."""
     message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
     return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 
@@ -162,7 +162,7 @@ def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigEr
 def _mistakes_by_phase(
     wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
 ) -> Iterator[ConfigError]:
-    """Yield each config mistake with the name of its phase; report a wrong override of all phases only once."""
+    """Add a phase's name to each config mistake of a pipeline; yield a mistake that all phases share only once."""
     of_all = [
         {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
         for errors in wrong.values()

@@ -18,7 +18,8 @@ from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-_CHANGEABLE_LATER = ("max_iterations", "gate")  # A resume can change these settings of a started pipeline phase.
+# A resume can change ``max_iterations`` and ``gate`` of a pipeline phase that has already started.
+_CHANGEABLE_LATER = ("max_iterations", "gate")
 
 
 def resume_pipeline(

@@ -84,7 +84,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # Check the evaluation protocol before the test is shortened.
+        read_section(Protocol, protocol, "protocol")  # Check an evaluation's settings before setting its episodes to 1.
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:
@@ -166,7 +166,7 @@ class PipelineRunner:
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # A resume can change the setting `every`, so the next evaluation may lie before the current iteration.
+        # A resume can change ``every``, the iterations between evaluations, so an evaluation may be overdue.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 

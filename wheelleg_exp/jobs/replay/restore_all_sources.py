@@ -37,12 +37,12 @@ class RestoredTree:
 class RestoredSource:
     """All source folders that were restored for a replay of a run."""
 
-    trees: list[RestoredTree] = field(default_factory=list)  # The first item is the source of the package wheelleg_exp.
-    places: dict[str, Path] = field(default_factory=dict)  # maps each top-level package to its restored folder
+    trees: list[RestoredTree] = field(default_factory=list)  # ``trees[0]`` is the folder of the package wheelleg_exp.
+    places: dict[str, Path] = field(default_factory=dict)  # Each package name maps to the folder with the package.
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # the source folders of other packages and projects
-    moved: dict[str, Path] = field(default_factory=dict)  # maps each recorded folder to its restored folder
+    source_roots: list[Path] = field(default_factory=list)  # all source folders except the folder of wheelleg_exp
+    moved: dict[str, Path] = field(default_factory=dict)  # Each folder of the original run maps to its restored copy.
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:

@@ -72,7 +72,7 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send an event with ``facts`` to the parent process; the replay's manifest will also contain ``facts``."""
+        """Send an event with ``facts`` to the parent process, and store ``facts`` for the manifest of the replay."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 

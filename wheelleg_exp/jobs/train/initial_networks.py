@@ -38,18 +38,18 @@ _IGNORED_KEYS = ("noise",)  # The keys of an observation term that can change wh
 class Fit:
     """The differences between the settings of a policy's earlier training and the settings of a new training."""
 
-    mistakes: list[ConfigError]  # Each error names a changed setting that makes the earlier policy unusable.
-    suspects: list[ConfigError]  # Each error names changed joints or sensors, which may change an observation's width.
-    notes: list[str]  # Each note describes a changed setting with which the earlier policy may remain usable.
+    mistakes: list[ConfigError]  # ``mistakes`` names changed settings that make the earlier training's policy unusable.
+    suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change an observation's width.
+    notes: list[str]  # ``notes`` names changed settings with which the earlier training's policy may remain usable.
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the settings of a policy's earlier training with the settings of a new training.
 
     ``was`` and ``now`` are the config sections ``env`` and ``agent`` of the earlier and of the new training. ``roles``
-    names the networks to copy; ``of`` is the earlier run's name for messages. Only a built environment shows whether a
-    changed parameter, such as a list of joints, changes a term's width. A changed parameter of an observation term is
-    reported as a note, not as a mistake.
+    names the networks to copy. Error messages and notes use ``of`` as the name of the earlier training. Only a built
+    environment shows whether a changed parameter, such as a list of joints, changes an observation term's width. A
+    changed parameter of an observation term is reported as a note, not as a mistake.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -145,7 +145,7 @@ class _Source:
 
 @contextmanager
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield a dict with the file of the initial networks, and a dict with the earlier run's id and task.
+    """Yield a dict with the file of the initial networks, and a dict with the id and task of the networks' run.
 
     The file of the initial networks does not name the earlier run, so that equal networks have equal files. ``note``
     receives texts about observations that differ between the earlier and the new training. ConfigError means that the
@@ -225,7 +225,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # Settings are not compared with a distillation run, which has a student and no actor.
+    if "actor" not in agent:  # A distillation run has a student and no actor, so its settings are not compared.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:

@@ -56,7 +56,7 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
-_CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can change ``graph_step``, although ``env.sim`` is fixed.
+_CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can switch CUDA graphs (``env.sim.graph_step``) on or off.
 _NEW_KEYS = ("init_from", "init_from_what")  # The keys that the configs of older runs lack.
 # The keys of an observation term or group that change neither the width nor the meaning of the observation vector.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
@@ -164,6 +164,6 @@ def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # An override that Hydra cannot parse replaces only an equal override.
+    except (HydraException, RecursionError):  # Hydra cannot parse the override ``word``, so ``word`` itself is its key.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

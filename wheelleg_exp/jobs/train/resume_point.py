@@ -59,7 +59,7 @@ def find_point(run: RunDirectory) -> ResumePoint:
     foreign: RunDirectoryError | None = None
     for path in reversed(run.checkpoints()):
         try:
-            state = checkpoint.load(path, finite=False)  # The resumed training itself detects NaN and inf.
+            state = checkpoint.load(path, finite=False)  # Accept a checkpoint with NaN; the training detects NaN.
             if state["iter"] != checkpoint_iteration(path):
                 raise RunDirectoryError(
                     f"the checkpoint's iteration {state['iter']} differs from its file name", key=str(path)
@@ -130,7 +130,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        # Remove exported policy files, which the resume changes; keep exported folders, which name their checkpoints.
+        # Remove exported policy files, which become stale; keep exported folders, which name the exported checkpoint.
         for path in run.exported.iterdir() if run.exported.is_dir() else ():
             if path.is_file():
                 path.unlink()

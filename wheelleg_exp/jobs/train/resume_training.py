@@ -246,7 +246,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add the names of the run's unused config folders to errors about functions outside the allowed packages."""
+    """If a config names a forbidden function, add to the error the run's config folders that this resume ignores."""
     try:
         yield
     except ConfigError as error:

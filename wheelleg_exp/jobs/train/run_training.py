@@ -122,7 +122,7 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
                 first = error
                 raise
     except BaseException as error:
-        first = first or error  # An error of the training usually caused the error that closing the files raised.
+        first = first or error  # Raise the training's error, which usually caused a later error while closing files.
         try:
             _record_end(training, outputs, display)
         except Exception as second:

@@ -47,7 +47,7 @@ def open_events(folder: Path) -> SummaryWriter:
 
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """Remove all scalars from TensorBoard's event files that ``lines``, the run's iteration log, does not contain."""
+    """From TensorBoard's event files, remove each scalar that the run's iteration log ``lines`` does not contain."""
     # If the event files lack scalars, for example after a loss of data, replace all event files.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):

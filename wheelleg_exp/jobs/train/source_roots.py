@@ -33,8 +33,8 @@ _CALLS = ("_target_", "class_name")
 def source_roots(composed: Composed) -> list[Path]:
     """Return the folders whose source code a training depends on; the folder of this package comes first.
 
-    The list continues with the user's projects, the folders of Hydra's search path, and packages in the config. The
-    list lacks the folder of the robot's file, because a run directory contains a copy of the robot.
+    ``source_roots`` also returns the user's projects, Hydra's search path, and packages that the config names. The
+    folder of the robot's file is not returned, because a run directory contains a copy of the robot.
     """
     folders = _config_folders(composed)
     roots = [configs_dir().parent, *(folder.parent if read_project(folder.parent) else folder for folder in folders)]
@@ -128,8 +128,8 @@ def shorten(value: Any) -> str:
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
     """Return how this process differs from a run in source, versions, hardware, threads, and environment variables.
 
-    Differences that cannot change the numbers of a training are not returned. ``threads`` contains the current thread
-    settings, which ``set_threads`` returned.
+    A difference in hardware, threads, or environment variables is returned only if it can change a training's numbers.
+    ``threads`` contains the current thread settings, which ``set_threads`` returned.
     """
     now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
     now["environment_variables"] = environment.variables()
@@ -166,7 +166,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
-    # Of the folders that the run recorded, return only folders that are trusted, installed, or imported here.
+    # Skip each recorded source folder that is neither trusted, nor installed, nor imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     records = [record for record in _records(load_source(run)) if record["root"] is not None]
     recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]

@@ -30,8 +30,8 @@ class Films:
 
     A video starts with every ``video_every``-th training iteration. A video ends with the iteration in which ``steps``
     control steps are reached, at the latest when the next video starts. Robot positions are stored in memory, and drawn
-    as pictures between two iterations. After a rendering error, the training continues without videos, and ``ended`` is
-    the reason.
+    as pictures between two iterations. After a rendering error, the training continues without videos, and ``ended``
+    describes the error.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:
@@ -113,7 +113,7 @@ class TrainingRecording(ObservingRecording):
     last frames can be written with the following iteration. At every ``interval``-th iteration, some episodes are
     recorded, unless the recording file could become too large. In each environment, the recorded frames start with a
     new episode, and end with the episode in which the number of frames reaches ``steps``. A resumed run records the
-    same episodes as an uninterrupted run, because the schedule depends only on options and recorded frames.
+    same episodes as an uninterrupted run, because only options and recorded frames determine these episodes.
 
     A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
     dropped, and an unfinished sample continues. ``note`` is a text with warnings about the recording, or None.
@@ -142,7 +142,7 @@ class TrainingRecording(ObservingRecording):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        # The longest sample's last episode starts just before frame ``options.steps`` and has the maximum length.
+        # At most, an episode of maximum length starts after ``options.steps - 1`` recorded frames of an environment.
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]

@@ -56,8 +56,8 @@ class RangedCommand(CommandTerm):
         """Set the ranges of a command's components by axis; the component of an axis without a range is 0."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # Code outside inference mode must be able to change the ranges' tensors.
-            self._bounds = self._present()  # Store the bounds in a tuple, because a checkpoint saves tensor attributes.
+        with torch.inference_mode(False):  # Outside inference mode, inference tensors cannot be changed in place.
+            self._bounds = self._present()  # A checkpoint saves each tensor attribute, but a tuple only if it changed.
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:

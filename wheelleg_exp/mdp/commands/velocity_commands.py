@@ -131,7 +131,7 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    Velocity components drawn as zero become zero at the next call of ``compute``. Target headings are not drawn.
+    ``draw`` selects random velocity components that the next call of ``compute`` sets to 0. No target headings exist.
 
     Args:
         ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` are means, standard deviations, and probabilities of zero
@@ -148,7 +148,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # Store the moments of the distributions in a tuple, because tensor attributes would be saved as state.
+        # A checkpoint saves every tensor attribute of a command term, but no constant tuple such as ``_moments``.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
@@ -224,7 +224,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # Store the acceleration limits in tuples, because tensor attributes would be saved as state.
+        # A checkpoint saves every tensor attribute of a command term, but no constant tuple such as ``_fastest``.
         self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 

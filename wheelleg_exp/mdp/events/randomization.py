@@ -18,7 +18,7 @@ Distribution = Literal["uniform", "log_uniform", "gaussian"]
 Pose = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 PoseRange = Mapping[Pose, Interval]
 POSE = get_args(Pose)
-Pair = Annotated[Sequence[float], Length(2)]  # A pair is [low, high], or a Gaussian's [mean, standard deviation].
+Pair = Annotated[Sequence[float], Length(2)]  # ``Pair`` is a range, or the mean and standard deviation of a Gaussian.
 Number = float | torch.Tensor
 
 
@@ -47,8 +47,8 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
     """Return what is wrong with a pair of distribution parameters, or None for a valid pair.
 
-    The rules are Isaac Lab's. The text ``least`` states the requirement for a factor's lower bound: ``above 0``,
-    ``at least 0``, or no requirement (an empty text).
+    The rules for a pair are Isaac Lab's. With ``least`` equal to ``above 0`` or ``at least 0``, drawn factors must
+    fulfil this condition. With an empty ``least``, drawn factors can be negative.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -65,7 +65,7 @@ def ranges(
     """Return a rule that checks an event's ranges against the event's operation and distribution.
 
     Factors in the ranges that ``above_0`` names must be above 0; factors in the ranges that ``at_least_0`` names must
-    be at least 0. Pairs that ``free`` names can be negative.
+    be at least 0. Factors in the ranges that ``free`` names can be negative.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 

@@ -17,7 +17,7 @@ from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
 _NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
-# Limit the numbers per entity and recording and the characters of group names, because a file can be damaged.
+# A damaged recording can contain huge tables, so limit the number of table columns and the length of their names.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 
@@ -141,8 +141,9 @@ def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
 class _Timeline:
     """The control steps that occur in at least one of several data series of a recording (rerun entities).
 
-    ``columns`` contains the timelines that every rerun entity of the union has, with ``sim_time`` in s. ``rows`` maps
-    each rerun entity to the indices of its control steps in ``columns``, or to None if it has all control steps.
+    ``columns`` contains the time columns that all requested data series have in the recording, with ``sim_time`` in s.
+    ``rows`` maps each data series to the table rows of its control steps, or to None if the data series fills all table
+    rows.
     """
 
     columns: dict[str, NDArray]

@@ -75,7 +75,7 @@ class Piece:
 
     @property
     def names(self) -> list[str]:
-        """The names of the columns of times (rerun timelines) and of data (rerun components) in the rows."""
+        """The names of all columns of a rerun message that contain times (timelines) or data (components)."""
         return [field.name for field in self.batch.schema if is_index(field) or is_component(field)]
 
 
@@ -174,7 +174,7 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count the damaged messages in rerun's log, because rerun's copy also omits undamaged data that was replaced.
+        # Count damaged messages in rerun's log, because the copy also lacks undamaged data that later data replaced.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 

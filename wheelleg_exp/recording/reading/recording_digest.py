@@ -27,7 +27,7 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
     """Return a sha256 over the content of a recording, which changes if one bit of a number changes.
 
     The sha256 ignores row ids, chunk boundaries, and the recording's name, id, properties, and layout, which differ
-    between equal runs. The sha256 of a recording also ignores each rerun entity at or below a path in ``without``.
+    between equal runs. Rerun entities at or below a path in ``without`` have no effect on the sha256 of a recording.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():

@@ -105,7 +105,7 @@ class Recording(EntityRows):
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:
         """Return the numbers of a rerun entity or group of entities, (rows, width), sorted by control step.
 
-        ``values`` raises RunDirectoryError if the entity has no numbers or if its rows differ in width.
+        ``values`` raises RunDirectoryError if a requested entity has no numbers or has rows of different widths.
         """
         path = self._resolved(name, env_id)
         return self.matrix(path) if self.has_rows(path) else number_groups.matrix(self, self._names.numbers_of(path))

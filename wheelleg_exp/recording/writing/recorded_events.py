@@ -39,7 +39,7 @@ class EventLog:
         self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
 
     def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
-        """Log which episodes ended at a control step, and why. The method ``look_back`` logs interval events later."""
+        """Log which episodes ended at a control step, and why."""
         manager = self._env.termination_manager
         for env_id, paths in envs:
             failed = bool(host_copy(manager.terminated[env_id]))
@@ -58,7 +58,7 @@ class EventLog:
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # If all environments share an event's timer, the event has one flag, else one flag per environment.
+                # ``due`` has one element if all environments share the event's timer, else one element per environment.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))

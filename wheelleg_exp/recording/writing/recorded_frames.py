@@ -29,8 +29,8 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 class Channel:
     """One row of numbers in each frame: its name, the names of the numbers, and a function that reads the row.
 
-    ``entities`` contains one rerun entity for all numbers of the channel or one per number. ``entities`` of a channel
-    is empty if the channel's numbers are only used to draw shapes.
+    ``entities`` contains either one rerun path for all numbers of the row, or one rerun path per number. If
+    ``entities`` is empty, the recorder does not write the row's numbers to the rerun file.
     """
 
     key: str

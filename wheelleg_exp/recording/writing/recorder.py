@@ -99,7 +99,7 @@ class Recorder:
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def _static_bytes(self) -> float:
-        # Estimate an upper bound for the size of all shapes, texts, and names, in bytes.
+        # Estimate the most bytes that a recording can need for its shapes, texts, and names.
         model, environments = self._env.scene.model, len(self._environments)
         return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 

@@ -23,7 +23,8 @@ class RecordingFile:
 
     If ``aside`` is true, the recording's file has a temporary name until ``take_place`` is called. ``unfinished`` is
     the reason why a closed recording has no index; None for a recording that has an index or is open. ``RecordingFile``
-    raises RunDirectoryError if the file ``path`` exists. All methods raise SimulationFailure if writing fails.
+    raises RunDirectoryError if the file ``path`` exists. A method of ``RecordingFile`` raises SimulationFailure if it
+    cannot write to the file.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:

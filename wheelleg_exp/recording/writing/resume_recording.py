@@ -29,8 +29,8 @@ class EarlierRecording:
 
     An incomplete last message of the interrupted run's recording is omitted. ``EarlierRecording`` only reads files.
     ``last`` maps each recorded counter (episode number, step within the episode) to its last control step and its last
-    value. ``steps`` maps each recorded counter to all control steps at which the counter was recorded.
-    ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
+    value. ``steps`` maps the rerun path of each episode number or episode step to all control steps at which it was
+    recorded. ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:

@@ -165,8 +165,8 @@ class Camera(LazySensor):
         vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
         fovy: vertical angle of view, rad, instead of the apertures; pixels are square.
         clipping_range: nearest and farthest visible distance along the axis, m.
-        depth_clipping_behavior: handling of too large distances. A pixel that sees nothing has the distance inf with
-            ``none``, 0 with ``zero``, and the largest distance with ``max``.
+        depth_clipping_behavior: the distance of a pixel that sees nothing: ``none`` means inf, ``zero`` means 0, and
+            ``max`` means the largest distance.
         max_num_envs: maximum number of environments, because each image takes milliseconds.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
@@ -264,7 +264,7 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        # Background pixels have the geom id -1, which selects the background's id at the end of ``_numbers[kind]``.
+        # A background pixel has the geom id -1, which selects the last segmentation id, the id of the background.
         return self._numbers[kind][seen["geom"].long()]
 
     def state_dict(self) -> dict[str, Any]:
@@ -308,8 +308,8 @@ class RayCasterCamera(RayCaster):
             ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
             up, in ``ros``; and along -z, with y up, in ``opengl``.
         max_distance: longest ray, m.
-        depth_clipping_behavior: handling of too large distances. A pixel that sees nothing has the distance inf with
-            ``none``, 0 with ``zero``, and the largest distance with ``max``.
+        depth_clipping_behavior: the distance of a pixel that sees nothing: ``none`` means inf, ``zero`` means 0, and
+            ``max`` means the largest distance.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 

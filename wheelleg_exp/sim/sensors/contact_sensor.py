@@ -44,8 +44,8 @@ def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
 class ContactPairs:
     """Reads the contacts of B sensed bodies with M other bodies from the engine's sensor values.
 
-    ``readings`` (N, B * M, S, W) has W numbers for each of at most S contacts of a pair of bodies. The normal of each
-    contact points away from the sensed body. ``fields`` selects some of the contact quantities in ``FIELDS``.
+    The dimensions of ``readings`` (N, B * M, S, W) are environments, pairs of bodies, contacts of each pair, and
+    values of each contact. Contact normals point away from the sensed body. ``fields`` names the values.
     """
 
     def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:

@@ -111,7 +111,7 @@ class RayCaster(LazySensor):
 
     @property
     def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Origins (R, 3), m, and unit directions (R, 3) of the rays in the sensor's frame; equal origins are (1, 3)."""
+        """Origins, m, and unit directions of rays in the sensor's frame, (R, 3); equal origins are stored as (1, 3)."""
         return self._starts, self._directions
 
     def reset(self, env_ids: torch.Tensor) -> None:

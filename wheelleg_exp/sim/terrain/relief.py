@@ -36,8 +36,8 @@ class Tile:
 class HeightMap:
     """The layout of terrain tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
 
-    As in MuJoCo's height fields, the surface in a cell between four corners consists of two triangles. The triangles
-    meet on the diagonal from the cell's lowest to its highest x and y.
+    As in MuJoCo's height fields, the surface in a cell between four corners consists of two triangles. The common
+    edge of a cell's two triangles joins the corner with the lowest x and y and the corner with the highest x and y.
     """
 
     def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:
@@ -117,7 +117,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # If a tile's sub-terrain has no flat patches of a name, the tile's origin replaces the flat patches.
+    # If a tile lacks flat patches that another sub-terrain defines, the tile's origin replaces the missing patches.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():

@@ -14,7 +14,7 @@ from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
 # Do not import annotations from __future__ here, because the fields' annotations must be types, not strings.
-# A user-defined subclass in another module inherits the annotations, and could not evaluate strings.
+# A subclass in a user's module could not evaluate inherited string annotations, which need this module's imports.
 _POINTS = 10  # As in Isaac Lab, the heights of ten points on each ring around a flat patch are compared.
 _ROUNDS = 1000
 
@@ -223,8 +223,8 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The first lattice point is the first grid point of a tile that the tile's flat rim encloses. If lattice points were
-    halfway between grid points, each height would be the mean of four draws, with half of a draw's standard deviation.
+    The lattice starts at a tile's first grid point inside the flat rim. A lattice shifted by half a grid cell would
+    halve the standard deviation of the heights, because each height would be the mean of four random heights.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,13 +235,13 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return the lattice point before each grid point, the fraction to the next lattice point, and the last index."""
+    """Return each grid point's lattice interval, the point's place in the interval, and the number of intervals."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # Round ``place``, so that a grid point on a lattice point gets exactly the height drawn for the lattice point.
+    # Remove rounding errors, so that a grid point at a lattice point gets exactly the lattice point's height.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count

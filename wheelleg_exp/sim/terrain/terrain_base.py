@@ -160,7 +160,7 @@ class TerrainBase(Kept):
         """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
         As in Isaac Lab, an environment that moves up from the hardest row of tiles moves to a random row. In the
-        easiest row of tiles, an environment does not move down. Without tiles, the method has no effect.
+        easiest row of tiles, an environment does not move down. Environments on a ground without tiles do not move.
         """
         if self.terrain_origins is None:
             return
@@ -207,7 +207,8 @@ def is_ground(name: str) -> bool:
 def grid_origins(num_envs: int, spacing: float, device: torch.device | None = None) -> torch.Tensor:
     """Return the origins (N, 3) of environments on a square grid around the world's origin, row by row.
 
-    As in Isaac Lab, the grid has ``ceil(N / floor(sqrt(N)))`` rows; rows go towards -x, and columns towards +y.
+    As in Isaac Lab, N environments form ``ceil(N / floor(sqrt(N)))`` rows. The next row of environments is at a
+    smaller x, and the next column of environments is at a larger y.
     """
     rows = math.ceil(num_envs / math.floor(math.sqrt(num_envs)))
     cols = math.ceil(num_envs / rows)

@@ -79,7 +79,7 @@ class _FromFile(TerrainBase):
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return the environments' origins, m, (N, 3), the positions ``start`` in turn; two robots never collide."""
+        """Return the origins (N, 3), m; environment i gets position i % len(start) from the list ``start``."""
         del spacing
         start = torch.tensor(self._start, device=device)
         xy = start[torch.arange(num_envs, device=device) % len(start)]
@@ -206,7 +206,7 @@ class Mesh(_FromFile):
         require_memory(200 * cells, f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,} cells of the ground")
         x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        # A vertical ray through an edge of the mesh may miss the mesh, so cast one ray on each side of each point.
+        # A vertical ray may pass between two triangles of a mesh, so cast two rays close to each grid point.
         probe, inset = Probe(add_to), 1e-6 * edges
         inner = low[:2] + inset / 3, high[:2] - inset / 3
         near = [(points + side * inset * (0.6, 0.4)).clip(*inner) for side in (-1, 1)]

@@ -40,7 +40,7 @@ class Node:
 
     @property
     def joints(self) -> list[Joint]:
-        """The joints between this body and its parent, outermost first; several if their degrees of freedom add up."""
+        """The joints between the node's body and its parent body, outermost first; their degrees of freedom add up."""
         return [self.joint, *self.added] if self.joint else []
 
     def frame_in_body(self, joint: Joint) -> Frame:
@@ -83,10 +83,10 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return two joints of a kinematic loop that should open at the second joint instead of the first joint, or None.
+    """Return the joint at which a kinematic loop is open, and a better joint to open it at; None if no joint is better.
 
-    MuJoCo has no equality that replaces the first joint. The second joint has no drive, and a MuJoCo equality replaces
-    the second joint. Of several joints without drives, the joint farthest from the root body is the second joint.
+    A kinematic loop should open at a joint that has no drive and that a MuJoCo equality constraint can replace. Of
+    several possible hinge and ball joints in a kinematic loop, the joint farthest from the root body is returned.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -164,7 +164,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
     The spanning tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from
-    the root. A loop does not open at a joint that no MuJoCo equality can replace if a different joint is possible.
+    the root. If possible, a kinematic loop opens at a joint that a MuJoCo equality can replace.
 
     The base mode ``floating`` drops joints that fix a root to the world; ``fixed`` drops the free joint of the root.
     """

@@ -22,8 +22,8 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
     """Return a body's degrees of freedom; joints without a saved state get the coordinates of the body's drawn pose.
 
-    If zero is outside a joint's limits, the saved coordinate moves inside the limits. In a robot with ``loops``, the
-    saved coordinate stays zero, because moving one joint would open a kinematic loop.
+    A joint coordinate outside the joint's limits is clamped to the limits. If ``loops`` is true, a joint coordinate of
+    zero is not clamped, because moving a single joint would open a kinematic loop.
 
     A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the
     converter negates the axis, and keeps the limits, targets, and gains.

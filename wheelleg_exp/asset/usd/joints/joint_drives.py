@@ -183,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether an attribute has the value of the attribute ``winner``, or the same name for a different axis."""
+    """Return whether two USD attributes have the same value, or names that differ only in the joint axis."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 

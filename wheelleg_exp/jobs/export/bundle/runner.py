@@ -113,7 +113,7 @@ class Term:
             total = total + (x + before) / F(2) * F(spec["dt"])
             self.memory[number] = [total, x]
             return total
-        # A digital filter's memory starts with the newest value.
+        # A digital filter's memory stores its inputs and outputs, with the newest input and output first.
         forward, feedback = array(spec["B"]), array(spec["A"])
         empty = [np.zeros((*x.shape, len(forward)), F), np.zeros((*x.shape, len(feedback)), F)]
         ins, outs = self.memory.get(number, empty)
@@ -200,7 +200,7 @@ class Policy:
         pieces = []
         for terms, group in zip(self.groups, self.spec["observations"], strict=True):
             histories = [term.sample(found, self.action, self.steps) for term in terms]
-            if group["history_order"] == "time":  # Each time step of a group's history contains all terms of the group.
+            if group["history_order"] == "time":  # Order an observation group's history by time step, not by term.
                 pieces.append(np.concatenate(histories, axis=1).ravel())
             else:  # term by term
                 pieces += [history.ravel() for history in histories]
