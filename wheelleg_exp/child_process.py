@@ -116,7 +116,7 @@ class Child:
             while chunk := os.read(pipe.fileno(), _CHUNK):
                 found += chunk
             found += b"\n"
-        except BlockingIOError:  # The child process has not closed the pipe, but the pipe contains no more bytes.
+        except BlockingIOError:  # The pipe from the job's child process is open but currently empty.
             found, _, self.open[pipe] = found.rpartition(b"\n")
         for raw in filter(bytes.strip, found.split(b"\n")):
             line = raw.decode(errors="replace").rstrip()

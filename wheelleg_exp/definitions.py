@@ -124,7 +124,7 @@ SCALARS = {
     "Perf/learning_time": Definition("time of the update", "s", "Wall-clock time."),
 }  # fmt: skip
 
-# The command `wheelleg list runs` prints a table with the following columns.
+# LISTED defines the columns of the table that the command `wheelleg list runs` prints.
 LISTED = {
     "done": Definition("done", "", "Finished iterations, and the requested number."),
     "return": Definition("return", "", "`Train/mean_reward` of the last iteration."),

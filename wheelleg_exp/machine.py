@@ -16,9 +16,9 @@ from pathlib import Path
 from wheelleg_exp.errors import ConfigError, WheellegError
 
 _LIMIT = Path("/sys/fs/cgroup/memory.max")
-# The address space and data size, in bytes, for reading the stock robot (measured: 573 MB and 62 MB on two cores).
+# Reading the default robot's file needs 573 MB of address space and a 62 MB data segment (measured on two cores).
 _SPACE, _DATA = 5 * 2**27, 2**27
-# The address space, in bytes, for importing torch, MuJoCo and USD (measured: 1.2 GB).
+# Importing torch, MuJoCo, and USD needs 1.2 GB of address space (measured).
 START_SPACE = 5 * 2**28
 _UNITS = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"))
 

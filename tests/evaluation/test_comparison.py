@@ -148,7 +148,7 @@ def test_single_directions_are_counted():
 def test_the_push_that_the_other_survives_is_named_as_a_factor_if_pushes_were_measured():
     scatter = 1e-4 * (noise(1) - 1.0)
     found = differences([pushed(0.2 + scatter, 0.6 + scatter)], [pushed(0.4 + scatter, 0.3 + scatter)])
-    said = " divided by that of the method A, is 2 for the kick and 0.5 for the push over 0.15 s."
+    said = "survive 2 times the kick and 0.5 times the push over 0.15 s that the policies of 'A' can survive."
     assert said in push_verdict(found, "A", "the reference")
     assert push_verdict(differences([made(1.0, 1e-3)], [made(1.0, 1e-3)]), "A", "B") == ""
 

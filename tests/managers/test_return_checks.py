@@ -106,7 +106,7 @@ WRONG: dict[tuple[str, str], tuple[Any, str, str]] = {
     ("observations", "doubles"): (lambda _: torch.ones(N, 2).double(), "float64 numbers", f"{ROWS}: value.float()"),
     ("observations", "flags"): (lambda _: torch.ones(N, 2).bool(), "bool numbers", f"{ROWS}: value.float()"),
     ("observations", "nothing"): (lambda _: None, "returns nothing", ROWS),
-    ("events", "a tensor"): (lambda _: torch.ones(N), "which the manager ignores", "no return value"),
+    ("events", "a tensor"): (lambda _: torch.ones(N), "but must return nothing", "no return value"),
     ("curriculum", "text"): (lambda _: "easy", "returns str 'easy'", "a number, numbers by name, or None"),
     ("curriculum", "a vector"): (lambda _: torch.ones(N), "a tensor of shape (4,)", "a number, numbers by name"),
     ("curriculum", "text by name"): (lambda _: {"a": "x"}, "returns str 'x' in a mapping", "a number, numbers by name"),

@@ -91,7 +91,7 @@ class Anatomy:
     support_height: float | None
     support_width: float  # the distance between the outermost wheel contacts, across ``forward``, m
     support_length: float  # the distance between the outermost wheel contacts along ``forward``, m; about 0 on one axle
-    near: dict[str, str]  # joints that lack only one property of a wheel's joint, with the missing property
+    near: dict[str, str]  # ``near`` maps a joint that lacks only one property of a wheel to a text about this property.
 
     @property
     def wheel_joints(self) -> list[str]:

@@ -160,7 +160,7 @@ def _joints(
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     inverse = np.linalg.inv(matrix)
-    # The joint torques ``hold`` (nv,) hold the default pose while each wheel carries an equal share of the weight.
+    # Compute the joint torques (nv,) with which the robot rests in its default pose, with equal loads on its wheels.
     hold = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
     # The ground pushes each wheel up at its lowest point; the z row of that point's Jacobian gives the joint torques.

@@ -21,7 +21,7 @@ _OFF_AXIS = 0.05  # The largest distance of a wheel's round outline from its hin
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # The largest relative difference between two moments of inertia that count as equal.
 _CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the wheel's radius.
-_HALF_TURN = math.pi  # The smallest hinge range, rad, of a round part that is reported as a possible wheel.
+_HALF_TURN = math.pi  # A round body on a limited hinge is a possible wheel if the hinge's range is at least pi rad.
 _AROUND = 48
 
 
@@ -51,7 +51,7 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     found, near = [], {}
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
-    highest = -down + _LOW * (top + down)  # the largest allowed height of a wheel's lowest point, m
+    highest = -down + _LOW * (top + down)  # A wheel's lowest point must be in the lowest 40 % of the robot's height.
     for joint in tree.joints:
         # A wheel's joint is a horizontal hinge, the only joint of its body, and the last joint of its limb.
         body = int(tree.model.jnt_bodyid[joint])
@@ -96,7 +96,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     outline = outline[:-2]
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
-    # The distance from the hinge's axis to the axis of the wheel's round outline, m; 0 if the outline is not round.
+    # ``off_axis`` is the distance, m, from the hinge axis of a wheel to the centre of the wheel's round outline.
     # The support function of an off-centre circle is its radius plus a cosine of the direction (the first harmonic).
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)

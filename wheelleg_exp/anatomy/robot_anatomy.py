@@ -15,7 +15,7 @@ from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
 _PARALLEL = 0.9  # The smallest share of parallel axles for which a robot has a forward direction.
-# A wheel's sign (1: rolls forwards, -1: backwards) is 0 if the wheel rolls at more than about 60° to forward.
+# The sign of a wheel is 1 (rolls forwards), -1 (backwards), or 0 if it rolls more than 60° off both directions.
 _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # The largest distance of a middle wheel from the robot's middle, as a share of the track width.
 _LEVEL_WITH = 0.03  # The largest height of a supporting wheel above the lowest wheel, as a share of the robot's size.

@@ -178,8 +178,8 @@ class _Problem:
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
-        # The weight is largest for errors of closed kinematic loops and smallest for deviations from the initial pose.
-        # A robot with several axles does not fall, so its balance error has a smaller weight than with one axle.
+        # Errors of closed kinematic loops get the largest weight, and deviations from the initial pose the smallest.
+        # Balance errors get the weight 200 on one wheel axle, and 20 on several axles, on which the robot cannot fall.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
         # The distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0

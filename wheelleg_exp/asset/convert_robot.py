@@ -194,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # If the new MJCF could not be moved, the old MJCF is still in place and needs its own mesh files again.
+        # If the new MJCF did not replace the old MJCF, move the folder with the old MJCF's meshes back to its place.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

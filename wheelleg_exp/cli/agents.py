@@ -25,7 +25,7 @@ def _run(kind: AgentKind, args: argparse.Namespace) -> int:
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     if args.steps is not None and args.steps < 1:
-        raise WheellegError(f"the number of steps in --steps is {args.steps}", key="--steps", expected="at least 1")
+        raise WheellegError(f"{args.steps} is not a positive number of steps", key="--steps", expected="at least 1")
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.printing.metric_tables import print_contacts, print_figures, print_recording

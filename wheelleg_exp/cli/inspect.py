@@ -351,7 +351,7 @@ def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
 def _open(_: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.rerun_viewer import open_window
 
-    with suppress(KeyboardInterrupt):  # Ctrl-C closes the viewer's window.
+    with suppress(KeyboardInterrupt):  # Ctrl-C closes the window of the Rerun viewer.
         open_window(_readable(inspected))
     return Result({"closed": True}, lambda: None)
 

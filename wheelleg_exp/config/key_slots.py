@@ -27,16 +27,16 @@ from wheelleg_exp.terms.term_errors import type_hints
 
 REQUIRED = inspect.Parameter.empty
 _RSL_CLASS = "class_name"
-# Parameters that a config cannot set, because rsl_rl passes them to algorithms, networks, and extensions.
+# A config cannot set the following constructor parameters, because rsl_rl itself passes their values.
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
-# The rsl_rl.extensions class that reads each section of ``agent.algorithm`` without a `class_name`.
+# These classes of rsl_rl.extensions read the sections of ``agent.algorithm`` that have no `class_name`.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
-# Config keys that rsl_rl reads, although no constructor of rsl_rl has parameters with the names of the keys.
+# rsl_rl reads the following config keys, although no constructor of rsl_rl has parameters with these names.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# An empty section name stands for all sections: in every term, `command_name` is the name of a term in `env.commands`.
+# In manager terms of all config sections, the parameter `command_name` is the name of a term in `env.commands`.
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",

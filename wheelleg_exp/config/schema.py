@@ -111,7 +111,7 @@ class EvaluateRoot:
     agent: Section
 
 
-# The rules of `wheelleg check --physics`, which the config key `check.silence` can name.
+# The config key `check.silence` can switch off each of these rules of `wheelleg check --physics`.
 PHYSICS_RULES: tuple[str, ...] = (
     "action_clip_never_acts", "action_scale", "armature_ratio", "assumed_masses", "balance_pose", "command_reach",
     "contact_at_start", "contact_threshold", "control_rate", "cumulative_randomisation", "discount_horizon",

@@ -102,7 +102,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # With recorders, no CUDA graph is captured, because recorders wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
-        # Create EnvAttributes last, because attributes that are added to the environment later count as state of terms.
+        # This line must be last, because checkpoints store all attributes that the environment gets after this line.
         self._attributes = EnvAttributes(self, self.managers, cfg)
 
     @property

@@ -43,9 +43,9 @@ from wheelleg_exp.state.object_graph import Slot, is_plain
 _RUNS_BEFORE_CAPTURE = 2
 # The largest number of CUDA graphs of one method; a reset needs a CUDA graph for each number of environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# The capture counts the combinations of attribute values over the last ``_WINDOW`` calls of a method.
+# ``CapturedPart`` counts how often the environment had equal attribute values in a method's last 1024 calls.
 _WINDOW = 1024
-# A warning appears if a method's runs without a CUDA graph outnumber its replays of CUDA graphs by ``_MANY``.
+# Warn if a method of the step has run in 256 more calls without a CUDA graph than with a CUDA graph.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -132,7 +132,7 @@ class CudaGraph:
             # Random generators of a failed capture are blocked until a later capture ends, so capture one kernel here.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # Raise the Python method's own error, which names the failed manager term.
+            cause = (failed or [error])[0]  # Raise the error of ``work``, because torch's error does not name the term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -306,7 +306,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # If the recorded method changed an attribute that ``key`` lacks, do not store the CUDA graph.
+                # Do not store a CUDA graph if its recording found a changing attribute that the graph's key lacks.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -319,7 +319,7 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[Any, ...]) -> Any:
-        self._values.is_checked = False  # Python code that runs instead of a CUDA graph may change attributes.
+        self._values.is_checked = False  # A run in Python may change any attribute of the environment's objects.
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
@@ -337,7 +337,7 @@ class CapturedPart:
         """Return whether the attribute values ``key`` occur often enough to record a CUDA graph for these values."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # Replace a CUDA graph only if new attribute values occur at least twice as often as the graph's values.
+        # Replace the least used CUDA graph only if the new attribute values occurred in at least twice as many calls.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:

@@ -63,10 +63,10 @@ def push_columns(
 ) -> tuple[Columns, Trajectories]:
     """Return each episode's hardest survived push, and its recovery from a push of ``reference`` m/s, (N,) each.
 
-    ``limit_m_s`` is the hardest survived push, found by bisection of [0, highest]. Each episode is simulated
-    ``iterations`` times from the same start, with a push in the middle of the bisection interval. ``limit_m_s`` is 0 if
-    the robot falls after every push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of
-    the base before the push. ``recovery_s`` is the time from the push of ``reference`` m/s until tilt and height stay
+    ``limit_m_s`` is the hardest survived push, found by bisection between 0 and ``highest`` m/s. For the bisection,
+    each episode is simulated ``iterations`` times from the same start, with different pushes. ``limit_m_s`` is 0 if the
+    robot falls after every push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of the
+    base before the push. ``recovery_s`` is the time from the push of ``reference`` m/s until tilt and height stay
     in their tolerance bands; NaN if the push never moves tilt and height out of the bands. ``recovered`` is 1 if the
     robot does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
     """
@@ -77,7 +77,7 @@ def push_columns(
     for iteration in range(options.iterations):
         middle = (low + high) / 2
         made = rollout.roll(policy, seed, _part(tell, iteration, rolls), pushes.of(middle))
-        # A fall lowers the upper end of an episode's bisection interval, and a survived push raises the lower end.
+        # The hardest survived push is between ``low`` and ``high``: a fall lowers ``high``, survival raises ``low``.
         low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
     reference = torch.full_like(low, float(options.reference))
     made = rollout.roll(policy, seed, _part(tell, options.iterations, rolls), pushes.of(reference))

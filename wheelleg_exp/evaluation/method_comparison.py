@@ -150,7 +150,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # Pad each seed's bootstrap values to equal lengths by repetition; the resampling below draws no repeated value.
+    # Repeat each seed's bootstrap values to fill a rectangular array; ``places`` never indexes the repeated values.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -370,10 +370,10 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     else:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     text = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
-    ratios = [f"{row.second / row.first:.2g} for {_push(kind)}" for kind, row in limits if row.first]
+    ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
     text += (
-        f" {second[0].upper()}{second[1:]}'s strongest survived disturbance, divided by that of the method {first},"
-        f" is {' and '.join(ratios)}."
+        f" {second[0].upper()}{second[1:]} can survive {' and '.join(ratios)}"
+        f" that the policies of '{first}' can survive."
         if ratios
         else ""
     )

@@ -244,7 +244,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        # The displacement since the stop command, m or rad, (T, N), is positive in the direction before the stop.
+        # ``beyond`` is the distance (m) or angle (rad) by which a robot overshoots after the command to stop.
         heading = at(yaw, windows[2])
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()

@@ -192,7 +192,7 @@ def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
     """Return columns that contain each episode's test, scenario, number in the scenario, command, and failure cause."""
     table = rollout.scenarios
     cell = table.cell_of()
-    # In the step test, every episode starts with a zero command, so store the second command of the episode.
+    # Store an episode's second velocity command, if it exists, because tests of command steps start at zero velocity.
     commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {

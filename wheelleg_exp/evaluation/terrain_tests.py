@@ -28,7 +28,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # On larger tiles, the central area in which robots start must not grow, because a pit's floor does not grow either.
+    # A pit's level floor is not wider on a larger tile, so reduce ``origin_window``, a share of the tile's width.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,

@@ -58,7 +58,7 @@ class EffortMeter(SensorBase):
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
-        # Set the torque's sign to 0, so that the next physics step does not count as a change of sign.
+        # If ``counted`` is false, set the stored signs of the joint torques to 0, because no change from 0 is counted.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 

@@ -178,8 +178,8 @@ def find_hits(
     """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
     ``Hit.around`` contains the recorded numbers that ``columns`` names, or by default the numbers that the condition
-    uses. ``Hit.around`` also covers the time ``around`` before and after a true condition, even if ``selection``
-    excludes it.
+    uses. If ``around`` is a time, each returned hit also contains the frames that were recorded up to this time before
+    and after the condition was true.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))

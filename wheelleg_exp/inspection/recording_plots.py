@@ -139,7 +139,7 @@ def require_path(path: Path) -> str:
     """Return the image format of a new picture; raise WheellegError if ``path`` exists or has an unknown suffix."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in KINDS:
-        raise WheellegError(f"'{path}' has no plot suffix", expected="a name that ends with .png, .svg or .pdf")
+        raise WheellegError(f"'{path}' is not an image file name", expected="a name that ends with .png, .svg or .pdf")
     require_new(path)
     return kind
 

@@ -57,7 +57,7 @@ def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
     distance = render_scene.camera_distance(cloud - lookat, _WIDTH / _HEIGHT)
     base = robot.model.body(robot.anatomy.base).id
     left = robot.data.xmat[base].reshape(3, 3) @ np.array(robot.anatomy.left or (0.0, 1.0, 0.0))
-    # In the view from the side, the camera looks to the robot's left, so that the robot faces right.
+    # In the side view, the camera is to the right of the robot, so that the robot faces right in the image.
     side = float(np.degrees(np.arctan2(left[1], left[0])))
     pictures = []
     with drawing(Order(scene, _FINER * _WIDTH, _FINER * _HEIGHT, _SAMPLES)) as process:

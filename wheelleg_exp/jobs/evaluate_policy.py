@@ -310,7 +310,7 @@ def compare(
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # Count the trained runs in ``runs`` and in ``against``; the reference controller (LQR) is not trained.
+    # Count the runs of each compared training method, but skip the reference controller (LQR), which is not trained.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)
@@ -343,7 +343,7 @@ def group_name(made: Sequence[Evaluated]) -> str:
 
 def display_name(made: Evaluated) -> str:
     """Return the name of an evaluation in a table: the id of the run, or the name of the reference controller."""
-    return made.run.id if made.checkpoint is not None else f"the {made.content['policy']}"
+    return made.run.id if made.checkpoint is not None else f"the {made.content['policy']} controller"
 
 
 def _identify(made: Evaluated) -> dict[str, Any]:

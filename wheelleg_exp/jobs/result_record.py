@@ -44,13 +44,13 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
     profile = f"The config file with `profile: {about['profile']}` defines the robot. " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
     scenarios = record["scenarios_sha256"][:16]
-    yield f"The policies ran in the fixed test episodes of `protocol={record['protocol']}` (see docs/evaluation.md)."
-    steps = f"physics step was {about['physics_dt_s']:.6g} s and the control step was {about['step_dt_s']:.6g} s"
-    yield f"The test episodes have the SHA-256 `{scenarios}…`. {profile}The {steps}."
+    yield f"This page evaluates policies in the test episodes of `protocol={record['protocol']}` (docs/evaluation.md)."
+    steps = f"physics step was {about['physics_dt_s']:.6g} s, the control step {about['step_dt_s']:.6g} s"
+    yield f"The evaluation protocol and its seed have the SHA-256 `{scenarios}…`. {profile}The {steps}."
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
-    yield f"Training the policies with the seeds {seeds} took {times} on {', and on '.join(machines)}.\n"
+    yield f"Training one policy per seed ({seeds}) took {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:

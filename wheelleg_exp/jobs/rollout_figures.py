@@ -112,7 +112,7 @@ class ContactFigures:
     body: str
     mean_n: float
     max_n: float
-    contact_share: float  # The link ``body`` has contact in this share of the control steps in which its robot stands.
+    contact_share: float  # ``contact_share`` is the share of a standing robot's steps in which ``body`` has contact.
     steps: int  # the number of control steps with a standing robot, summed over all environments
 
 
@@ -165,7 +165,7 @@ def _rms(values: torch.Tensor) -> float:
 
 
 SATURATION = 0.99  # A motor torque of at least 99 % of its effort limit counts as saturated.
-DEADBAND = 0.001  # A torque's sign change counts only if the torque exceeds 0.1 % of its effort limit.
+DEADBAND = 0.001  # ``sign_changes_per_s`` ignores a motor's torque if it is at most 0.1 % of the effort limit.
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class LocalLauncher:
 
     def start(self, number: int, request: JobRequest) -> Job:
         """Start the child process that runs a job."""
-        del number  # The job's number is not needed, because each job's child process has its own pipes.
+        del number  # The job's ``number`` is unused, because the pipes of the job's child process identify the job.
         # Pass ``os.environ`` to the job, because libraries may have changed the C environment of this process.
         return Child(self._program, request.line(), os.environ)
 
@@ -211,5 +211,5 @@ class SweepRunner:
         deadline = time.monotonic() + patience_s
         while self._running and time.monotonic() < deadline:
             self._listen()
-            with contextlib.suppress(WheellegError):  # An error of the sweep's index must not keep jobs running.
+            with contextlib.suppress(WheellegError):  # Stop all jobs even if writing the sweep's index fails.
                 self._reap()

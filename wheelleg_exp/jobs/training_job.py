@@ -31,7 +31,7 @@ class JobRequest:
     kind: Literal["train", "resume", "evaluate"]
     overrides: list[str]
     config_dirs: list[str]
-    command: list[str]  # The run's manifest records this wheelleg command line, which is equivalent to the job request.
+    command: list[str]  # The run's manifest records ``command``, a wheelleg command line that does the same job.
     digest: str = ""  # the hash of a training's config when the config was checked
     run: str = ""
     checkpoint: str = ""

@@ -20,7 +20,8 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-_FIXED = ("resampling_time_range", "restitution_range")  # The names of random ranges whose two ends can be equal.
+# The random ranges ``resampling_time_range`` and ``restitution_range`` in a config may have two equal ends.
+_FIXED = ("resampling_time_range", "restitution_range")
 
 
 @rule
@@ -158,7 +159,7 @@ def push_size(case: Case) -> Iterator[Finding]:
     balance = case.facts.balance
     if balance is None:
         return
-    # The largest push, m/s, that wheels can catch is the wheels' acceleration divided by the rate of a robot's fall.
+    # A robot falls after a push above the wheels' largest acceleration, m/s², divided by the tilt's growth rate, 1/s.
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
     spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
@@ -211,7 +212,7 @@ _HEIGHT = 0.05  # The largest accepted error of the rewarded height, as a share 
 _FALLS = 5.0  # The shortest useful episode, in time constants of a falling robot's exponentially growing tilt.
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
-# reward terms whose parameter ``threshold`` is a time in seconds and not a force
+# The parameter ``threshold`` of the rewards ``feet_air_time...`` is a time in seconds, not a force.
 _TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")
 _ON_WHEELS = (
     "rewards.no_contact_count",

@@ -9,7 +9,7 @@ from typing import Any
 from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # An acceptable error of the robot should cost at least 1 % of the reward of a robot without errors.
+_AUDIBLE = 0.01  # An error as large as a reward term's tolerance should cost at least 1 % of the best possible reward.
 _OUTWEIGHS = 4.0  # The largest plausible ratio of one negative reward to the sum of all positive rewards.
 _STILL = 0.5  # The largest accepted share of a tracking reward that a robot earns without motion.
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
@@ -168,7 +168,7 @@ _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
 _DUST = 1e-9  # The relative tolerance for rounding errors in the difference 1 - gamma.
 _FALLS = 5.0  # The smallest useful discount horizon, in time constants of a falling robot's exponentially growing tilt.
-_EARLY = 0.25  # At most 25 % of the averaged policy weights should come from the first training iterations.
+_EARLY = 0.25  # In a policy's mean weights, the first training iterations should have a share of at most 25 %.
 
 
 @rule
@@ -230,15 +230,15 @@ def late_average(case: Case) -> Iterator[Finding]:
 
     Up to training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
     After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
-    After i iterations, the first n iterations, with a poorly trained policy, contribute (1 - 1/n)^(i - n) of the
-    averaged weights. Source: the weights of an exponential mean.
+    After i training iterations, the share (1 - 1/n)^(i - n) of the averaged weights still comes from the first n
+    iterations. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        # The first n of i iterations contribute (1 - 1/n)^(i - n), at most exp(1 - i/n), of the averaged weights.
+        # In the weights' mean over i iterations, the share of the first n is (1 - 1/n)^(i - n), at most exp(1 - i/n).
         few = int(iterations / (1.0 - math.log(_EARLY)))
         enough = few if few > 1 else 0  # 0 disables the mean
         message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"

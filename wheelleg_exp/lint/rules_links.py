@@ -17,8 +17,8 @@ from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # The largest accepted mass that the converter assumed, as a share of the robot's mass.
-_WEIGHTY = 0.01  # The smallest mass of a link whose inertia matters, as a share of the robot's mass.
+_ASSUMED = 0.05  # The converter may assume at most 5 % of a robot's mass, for links without a mass in the robot file.
+_WEIGHTY = 0.01  # A link's inertia matters if the link has more than 1 % of the robot's mass.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 

@@ -173,7 +173,7 @@ class CommandManager(ManagerBase):
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # Delete ``may_draw``, because a checkpoint saves a command term's attributes.
+                    del term.may_draw  # Delete the temporary attribute ``may_draw``, so that no checkpoint saves it.
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands, and return the commands' metrics over the episodes that ended."""

@@ -55,8 +55,8 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
     The tensor ``state`` is the present state of the engine. ``motion_at_start`` has the positions and velocities at the
     start of the control step, because the engine has already reset a failed simulation. ``model.<field>`` is a field of
-    the MuJoCo model that an event changed. The keyword arguments ``more`` are further tensors (N, ...), of which the
-    returned dictionary contains the rows of the environments ``ids``.
+    the MuJoCo model that an event changed. From each further tensor (N, ...) in ``more``, the returned dictionary
+    contains the rows of the environments ``ids``.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -84,7 +84,7 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
-        before = set(ids_where(env.scene.unstable()).tolist())  # Physics failures are not blamed on the event term.
+        before = set(ids_where(env.scene.unstable()).tolist())  # Exclude environments whose physics had already failed.
         for name, values in written.items():
             bad = set(failed_rows(values).tolist()) - before
             bad &= bad if ids is None else set(ids.tolist())

@@ -79,7 +79,7 @@ class ObservationManager(Kept):
         """Return each term's slice of a concatenated observation; raise ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(f"histories in group '{group}' are ordered by step, so a term's values are not contiguous")
+            raise ValueError(f"observation group '{group}' has history_order: time, so each term has a slice per step")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
@@ -269,7 +269,7 @@ def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # Each number of a history needs two float32 values for each environment, and two int64 column indices in total.
+    # Per observed number and step, histories need two float32 values in each environment and two shared int64 indices.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

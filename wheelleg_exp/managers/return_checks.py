@@ -135,7 +135,7 @@ class NoForm:
         """Raise ConfigError if the function that ``source`` describes returned a value other than None."""
         if value is not None:
             raise ConfigError(
-                f"{source} returns {described(value)}, which the manager ignores", expected="no return value"
+                f"{source} returns {described(value)}, but must return nothing", expected="no return value"
             )
 
 

@@ -78,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # Skip the names ``func`` and ``params`` in addresses from Isaac Lab.
+        if part in ("func", "params"):  # Isaac Lab's address `TERM.params.NAME` means `TERM.NAME` in this project.
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -87,7 +87,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # Skip the name ``cfg``, which only Isaac Lab's addresses of settings contain.
+        return holder  # Isaac Lab's address `reward_manager.cfg.TERM` means `reward_manager.TERM` in this project.
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):

@@ -1,4 +1,4 @@
-"""Curriculum terms, which change settings while a policy learns, and return values for the training log."""
+"""Curriculum terms change settings while a policy learns; the training log contains the terms' return values."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class modify_env_param(TermBase):
             message = f"'{getattr(self._modify, '__name__', type(self._modify).__name__)}': {error}"
             raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
-        # A manager term saves its own settings, so this object saves only settings that belong to no manager term.
+        # Each manager term saves its own settings, so a curriculum term saves only settings outside of manager terms.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -275,7 +275,7 @@ class command_levels_by_skill(TermBase):
         # ``_sums`` adds up the tracking score, the score of a robot at rest, and the number of steps of each episode.
         self._sums = torch.zeros(shape, device=env.device)
         self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` sums ``_sums`` over ended episodes.
-        # ``_counts`` is a mask of the environments whose episode started after the last growth of a command range.
+        # ``_counts[i]`` is False if the episode of environment i started before a command range was last enlarged.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)

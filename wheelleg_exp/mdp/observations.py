@@ -45,7 +45,7 @@ def root_link_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Ten
 
 
 def projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Unit vector of gravity in the axes of the root link; (0, 0, -1) for an upright robot."""
+    """Return the unit vector of gravity in the axes of the root link, which is (0, 0, -1) for an upright robot."""
     return env.scene[asset_cfg.name].data.projected_gravity_b
 
 
@@ -175,7 +175,7 @@ def imu_orientation(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
 
 
 def imu_projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
-    """Unit vector of gravity in the axes of an IMU; (0, 0, -1) for an upright IMU."""
+    """Return the unit vector of gravity in the axes of an IMU, which is (0, 0, -1) for an upright IMU."""
     return env.scene[asset_cfg.name].data.projected_gravity_b
 
 

@@ -43,7 +43,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {file.resolve() for file in files if file.is_file()}
         if _copied_in_place(source, files, folder):
             return folder / source.name
-        # Copy a USD stage and all files outside of the stage's folder. The USD library rewrites the copied paths.
+        # If a USD stage refers to files outside of its folder, the USD library copies them and updates the references.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
         if not done or not (folder / source.name).is_file():
             message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
@@ -106,7 +106,7 @@ def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # A symbolic link to a robot file becomes a second copy of the file.
+    if source.name != source.resolve().name:  # If a robot file is a symbolic link, copy the file under both names.
         _copy(source, folder / source.name)
     return True
 

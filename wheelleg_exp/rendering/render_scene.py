@@ -22,7 +22,8 @@ class Shape:
     """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh."""
 
     kind: str
-    size: tuple[float, ...]  # A solid has half edges, semi-axes, or a radius and a half length, m; a mesh has no size.
+    # A box has half edges as its size (m), an ellipsoid semi-axes, a cylinder or capsule a radius and a half length.
+    size: tuple[float, ...]
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1

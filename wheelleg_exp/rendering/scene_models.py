@@ -108,7 +108,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
     start = int(model.hfield_adr[field])
     height = model.hfield_data[start : start + rows * columns] * elevation
     x, y = np.meshgrid(np.linspace(-radius_x, radius_x, columns), np.linspace(-radius_y, radius_y, rows))
-    # Each grid cell becomes two triangles; `low` is the index of the cell's corner with the smallest x and y.
+    # Each cell of the height field becomes two triangles; ``low`` indexes each cell's vertex with the smallest x and y.
     low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
     vertices = np.column_stack((x.ravel(), y.ravel(), height))
@@ -217,7 +217,7 @@ def _floor(spec: Any, height: float, tile: float) -> None:
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
     )  # fmt: skip
-    # A checker texture has two squares along each edge, so the texture repeats once per two tiles.
+    # MuJoCo's checker texture has 2 x 2 squares, so a texture of width 2 * tile shows squares of width ``tile``.
     material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
     spec.worldbody.add_geom(

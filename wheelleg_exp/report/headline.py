@@ -82,7 +82,7 @@ def time_outs(subject: Subject) -> list[str]:
 
 def reached_end(subject: Subject) -> float | None:
     """Return the share of environments in which the last training episode reached the time-out without a failure."""
-    # Old runs lack `last_ended_by`: an episode with a time-out and a failure in the same step counts as a time-out.
+    # In old runs, an episode with a time-out and a failure in the same control step counts as a time-out.
     names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
     if isinstance(counts, Mapping) and sum(counts.values()):
         survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]

@@ -182,7 +182,7 @@ def _panels(name: str, recording: Recording) -> list[Panel]:
 
     try:
         return PLOTS[name].panels(Source(recording))
-    except RunDirectoryError:  # The recording lacks the data that this plot needs.
+    except RunDirectoryError:  # The recording lacks the data that the plot ``name`` needs.
         return []
 
 

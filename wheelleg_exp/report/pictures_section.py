@@ -166,8 +166,8 @@ def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
     """Return a sample (consecutive recorded steps), and the episode in this sample that the report's pictures show."""
     # For the start of training (``_FIRST``), the pictures show the first recorded training episode.
     # For a ``wheelleg play`` (``_PLAY``), the pictures show the first recorded episode, whose metrics the report lists.
-    # For the end of training (``_LAST``), the pictures show a complete episode of the last sequence with such episodes.
-    # If a training's recording has no complete episode, the pictures show the last sequence's longest episode.
+    # For the end of training, the pictures show a complete episode, taken from the latest steps that contain one.
+    # If no recorded training episode is complete, the pictures show the longest of the latest incomplete episodes.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):

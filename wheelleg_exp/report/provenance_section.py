@@ -1,7 +1,7 @@
 """Build the sections of a report on the provenance and reproducibility of a run.
 
 The report lists the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One section
-of the report compares a run with its manifest, with its replays, and with runs that have the same settings and seed.
+checks a run's files against its file manifest.json, and compares the run with trainings of equal settings and seed.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ class Repeat:
     """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
     label: str  # The task and id of the run that is compared with the reported run.
-    how: str  # The reason to expect equal runs: ``replay``, ``original``, or ``same settings``.
+    how: str  # The run ``label`` is a ``replay`` of the reported run, its ``original``, or has the ``same settings``.
     verdict: str  # The result of comparing the run ``label`` with the reported run, or ``not compared``.
     reason: str
     lines: Sequence[str]  # the whole comparison
@@ -253,7 +253,7 @@ class Verdict:
 
 
 def judge(subject: Subject) -> Verdict:
-    """Compare a run with its manifest, with its replays, and with runs of equal settings."""
+    """Check a run's files against its file manifest.json, and compare the run with trainings of equal settings."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
     from wheelleg_exp.verify import verify_run

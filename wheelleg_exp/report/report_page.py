@@ -115,7 +115,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
         command=_or(lambda: headline.command(subject), ""),
         hero=_or(look.hero, None),
         sections=_sections(subject, look, verdict),
-        # Build the notes after the sections of the page, because building sections can add problems to the notes.
+        # Read ``subject.problems`` after building the page's sections, because errors in sections add problems there.
         notes=[Note(problem) for problem in dict.fromkeys([*_not_finite(subject), *subject.problems])],
         version=__version__,
     )

@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from rsl_rl.modules import MLP
 
 KEY = "agent.matmul"
-# A network layer with at least this number of weights is faster in bfloat16 than in float32, despite conversions.
+# A layer of at least ``FEWEST_WEIGHTS`` weights is faster in bfloat16 than in float32, despite the conversions.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers per block
 # ``_ANY`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow all CPU instructions, including AMX.
 _ANY = ("", "ALL", "DEFAULT")
 # ``_WITH_VECTORS`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
-# Try several thread counts, because 16 threads can give the result of one thread although 2 threads do not.
+# ``_COUNTS`` lists the thread counts with which ``products_depend_on_threads`` computes matrix products.
+# With 16 threads, a matrix product can equal the product with one thread even if two threads give another product.
 _COUNTS = (1, 2, 3, 4, 8, 16)
 
 

@@ -16,7 +16,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors import Imu, RayCaster
 
 RULES_KEY = "agent.symmetry.terms"
-# A mirror rule (change in a mirror image) of an observation with fixed width has one sign for each number.
+# ``SIGNS`` contains left-right mirror rules for observations with a fixed number of values: one sign per value.
 SIGNS: Mapping[str, tuple[float, ...]] = {
     "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
     "pseudovector": (-1, 1, -1),  # angular velocity, torque
@@ -28,10 +28,10 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
     "base_pose": (1, -1, 1),  # height, roll, pitch
     "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
 }
-# Mirror rules (changes in a mirror image) for observations of any width, such as one number for each joint.
+# ``FREE_WIDTH_RULES`` names left-right mirror rules for observations without a fixed number of values.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# A mirror rule (change in a mirror image) for bodies has one sign for each number that is observed of a body.
-# A mirror rule for bodies also names the parameter that selects bodies, and says whether body axes must be mirrored.
+# ``BODY_RULES`` contains left-right mirror rules for observations of bodies: one sign per observed number of a body.
+# A rule in ``BODY_RULES`` also names the parameter that selects bodies, and says if body axes must be mirrored.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -39,13 +39,13 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "body_vectors": ((1, -1, 1), "asset_cfg", True),
     "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
 }
-# The mirror rules (changes in a mirror image) for measurements of an IMU in its own axes.
+# ``IMU_RULES`` contains left-right mirror rules for measurements of an IMU, expressed in the IMU's axes.
 IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quaternion")}
-COMMAND_RULE = "command"  # The placeholder for an observed command's mirror rule (change in a mirror image).
+COMMAND_RULE = "command"  # The rule ``command`` mirrors an observed command by the rule for the command's class.
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# For each mirror rule (change in a mirror image), list the functions of the built-in observations that use the rule.
+# For each left-right mirror rule, ``_NAMES_BY_RULE`` lists the built-in observation functions that use the rule.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
@@ -71,7 +71,7 @@ _NAMES_BY_RULE = {
     "body_vectors": ("body_projected_gravity_b",),
 }
 TERM_RULES: Mapping[str, str] = {name: rule for rule, names in _NAMES_BY_RULE.items() for name in names}
-# ``COMMAND_RULES`` maps each class of built-in commands to the command's mirror rule (change in a mirror image).
+# ``COMMAND_RULES`` maps each class of built-in commands to the rule for a command's left-right mirror image.
 COMMAND_RULES: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "UniformVelocityTravelCommand": "planar_velocity",
@@ -177,7 +177,7 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            # The mirror image of a gait clock is half a cycle later, if half a cycle exchanges left and right legs.
+            # If left and right legs alternate, a mirrored gait is half a cycle later, so its sine and cosine flip sign.
             offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
             for offset in offsets:
                 if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:

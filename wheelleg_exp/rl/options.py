@@ -96,7 +96,7 @@ def agent_options(agent: Any) -> type:
     return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
-# Config keys in ``PARAMETERS`` are checked at any depth of the section `agent`: rsl_rl accepts invalid values.
+# rsl_rl accepts invalid values, so each key in ``PARAMETERS`` is checked wherever it occurs in the section `agent`.
 PARAMETERS: dict[str, Any] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,

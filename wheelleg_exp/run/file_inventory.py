@@ -80,7 +80,7 @@ def odd_entries(directory: Path) -> dict[str, str]:
         for path in (Path(folder, name) for name in [*folders, *names]):
             try:
                 mode = path.lstat().st_mode
-            # A running training can delete a temporary file after the listing of the folder.
+            # A running training can delete a temporary file between ``os.walk`` and ``lstat``.
             except FileNotFoundError:
                 continue
             if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):

@@ -21,9 +21,9 @@ class Line:
     iteration: int
     digests: dict[str, str]  # by name
     scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
-    digest_format: int | None = None  # The version of the algorithm that computed the hashes in the log line.
+    digest_format: int | None = None  # ``digest_format`` is the version of the algorithm that computed ``digests``.
     content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
-    end: int = 0  # The position of the log line's end in the log file, in bytes.
+    end: int = 0  # ``end`` is the offset in bytes in ``iterations.jsonl`` at which this iteration's line ends.
 
 
 @dataclass(frozen=True)

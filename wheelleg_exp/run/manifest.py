@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # The hash in a manifest of format 1 covers the values, not the bytes of the file.
+FORMAT_WITH_VALUE_DIGEST = 1  # In format 1, ``sha256`` is a hash of the parsed values, not of the file's bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -110,10 +110,10 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 
 
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
-    """Return a document as JSON text; the last key, ``sha256``, is a hash of the text with zeros instead of the hash.
+    """Return a document as JSON text that ends with ``sha256``, a hash of the JSON text.
 
-    If ``broken`` is true, the JSON text has zeros instead of a hash, because a valid hash would hide that a user
-    changed the JSON file by hand.
+    The hash is computed while ``sha256`` consists of 64 zeros. If ``broken`` is true, ``sha256`` remains 64 zeros,
+    because a valid hash would hide that a user changed the JSON file by hand.
     """
     text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -155,7 +155,7 @@ _PROCESS_KEYS = (
 )
 
 _LOCK_TIMEOUT_S = 20.0
-# While a resume still has to write changed config files, its entry in the manifest has the key `files_to_write`.
+# A resume's entry in ``manifest.json`` has this key until the resume has written all changed config files.
 _PENDING = "files_to_write"
 
 
@@ -373,7 +373,7 @@ class Manifest:
         """Return the newest size and hash of every file of the run, including files that later commands added."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
         ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
-        # File records that are newer than the end of the run come from later commands such as `wheelleg play`.
+        # After a training, commands such as `wheelleg play` add sizes and hashes of new files to the manifest.
         earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
         later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}

@@ -154,7 +154,7 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
     """Raise RunDirectoryError, which names the file ``path``, unless each word in this file is a config override."""
-    # The overrides that a run directory stores are untrusted input, because anyone can have changed the file.
+    # Do not trust overrides that are read from a file, because anyone can have changed the file.
     # A recorded override must not be a command option, a setting of Hydra itself, or a resolver call.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
@@ -186,7 +186,7 @@ def resolved(
     letters = sum(len(text) for text in _strings(tree) if "${" in text)
     try:
         if letters > _MAX_LETTERS:
-            raise InterpolationResolutionError(f"the config values with '${{' have {letters} characters in total")
+            raise InterpolationResolutionError(f"config values with '${{' are too long: {letters} characters in total")
         with _restricted_resolvers(variables, absent):
             config = OmegaConf.create(dict(tree))
             values = {key: OmegaConf.select(config, key) for key in sections or map(str, tree)}

@@ -83,7 +83,7 @@ class _RunIndex:
         data = read_json(path)
         if not isinstance(data, dict) or not isinstance(data.get(cls.ENTRIES), list):
             expected = f"a mapping with '{cls.ENTRIES}'"
-            raise RunDirectoryError(f"the file is not the index of a {cls.KIND}", where=str(path), expected=expected)
+            raise RunDirectoryError(f"the file does not list runs of a {cls.KIND}", where=str(path), expected=expected)
         if data.get("format") != _FORMAT:
             message = f"{cls.KIND} format {data.get('format')!r} is unknown"
             raise RunDirectoryError(message, where=str(path), expected=f"format {_FORMAT}")
@@ -231,10 +231,10 @@ class PipelineIndex(_RunIndex):
         missing = [key for key in _PIPELINE_TYPES if key not in index.data]
         missing += [f"phases.{key}" for phase in phases for key in _PHASE_TYPES if key not in phase]
         if missing:
-            message, expected = f"'{missing[0]}' is missing", ", ".join(_PIPELINE_TYPES)
-            raise RunDirectoryError(f"broken index of a pipeline: {message}", where=where, expected=expected)
+            message, expected = f"the key '{missing[0]}' is missing", ", ".join(_PIPELINE_TYPES)
+            raise RunDirectoryError(f"pipeline.json is damaged: {message}", where=where, expected=expected)
         for key in mistyped_keys(index.data, {**_PIPELINE_TYPES, "process": Optional(WRITER)}):
-            raise RunDirectoryError(f"broken index of a pipeline: the key '{key}' is missing or wrong", where=where)
+            raise RunDirectoryError(f"pipeline.json is damaged: the key '{key}' is missing or wrong", where=where)
         return index
 
     @property

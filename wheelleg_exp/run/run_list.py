@@ -51,7 +51,7 @@ class RunSummary:
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # A text that describes the run's failure, its damaged manifest, or its NaN episodes.
+    problem: str | None = None  # ``problem`` describes a run's failure, damaged manifest, or episodes with NaN or inf.
     failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
     iterations: int | None = None  # finished iterations
@@ -180,7 +180,7 @@ def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | No
     if checkpoint is None:  # A run without a checkpoint can be resumed if its config and robot files exist.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # A resume from the last checkpoint would leave a gap in the iteration log.
+    if (done or 0) < computed:  # If the log ends before the last checkpoint, a resumed log would have a gap.
         return False
     # If all iterations are done, a resume can only add a missing exported policy.
     return computed < total or (computed == total and status != "finished")

@@ -95,7 +95,7 @@ def _compare(
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
-        # A file without an entry in ``between`` is equal in the git commits on which the two source trees are based.
+        # If the dictionary ``between`` lacks a path, the file is equal in the git commits of both source trees.
         return between[path][side] if path in between else other[path][0]
 
     found = FileChanges()

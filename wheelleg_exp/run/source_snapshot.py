@@ -237,7 +237,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # In git's index, restore the base commit's version of files with a git filter; mode 0 removes a path.
+        # In the temporary git index, undo the changes of files with a git filter; git removes an entry with mode 0.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
@@ -252,7 +252,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         record["dirty"] = bool(changes) or len(refused) > len(filtered)
         record["submodules"] = _submodules(scratch)
         record["tree"] = scratch.text("write-tree")
-        # Make a patch from the commit ``base`` to git's index; the options override the user's diff settings.
+        # Make a patch from the commit ``base`` to the temporary git index, regardless of the user's git diff settings.
         options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
         options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
         options += ["--ignore-submodules=none", "--no-relative", "-U3"]
@@ -313,7 +313,7 @@ def _sizes(repository: Repository, paths: Iterable[str]) -> dict[str, int]:
 
 def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
     """Return the files that git passes through a filter program, such as Git LFS or an encryption program."""
-    # Git stores the output of a filter program, and a snapshot must not run filter programs.
+    # To store a filtered file, git would run the filter program, so source snapshots leave out filtered files.
     programs = git.filters(repository)
     if not programs or not paths:
         return []
@@ -345,7 +345,7 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
             if not left:
                 raise
             refused = [NotCaptured(path, f"git cannot read it: {error}") for path in left]
-    # The option --remove makes git accept files that were deleted after git had listed them.
+    # With --remove, `git update-index` accepts files that were deleted after `git ls-files` had listed them.
     scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=git.join_nul(untracked))
     return refused
 

@@ -57,8 +57,8 @@ def complete_snapshot(
     threads: Mapping[str, Any],
     max_patch_mb: float | None = None,
 ) -> None:
-    """Write the second part of the snapshot, after parameters and configs: source and distributions."""
-    # The manifest of a run that was killed before its first step lacks facts about the source; a resume adds them.
+    """Write the source snapshot and ``environment.txt`` into a run directory, and record both in the manifest."""
+    # If a run is killed here, ``manifest.json`` lacks the source code's git commit until `wheelleg resume` adds it.
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))

@@ -102,7 +102,7 @@ class BatchEngine(Engine):
             self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        rows = self.state.index_select(0, ids)  # Positions and velocities are reset only if they are NaN or inf.
+        rows = self.state.index_select(0, ids)  # ``BatchEngine.reset`` keeps finite positions and velocities.
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
@@ -154,7 +154,7 @@ class BatchEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        # Compute MuJoCo's constants from the model fields that the last ``set_const`` used, then restore saved fields.
+        # First call ``set_const`` with the model fields of its last call before the save; then load the saved fields.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)

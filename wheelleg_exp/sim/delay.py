@@ -17,8 +17,8 @@ class DelayBuffer:
 
     The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab, ``push`` returns
     the first sample since the last reset while an environment has had at most ``lag`` samples since then. Each reset
-    draws an environment's lag uniformly from the range ``lags``; before the first reset, the lag is 0. All samples have
-    the shape (N, ...) and the device of the argument ``sample``.
+    draws an environment's lag uniformly from the range ``lags``; before the first reset, the lag is 0. The buffer takes
+    only samples that have the shape and device of ``sample``, for example (N, 3) for N environments.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:

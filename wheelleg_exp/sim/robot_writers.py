@@ -261,7 +261,7 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # Each new tuple ``_wrench_bodies`` causes a new capture of CUDA graphs, so replace it only for a new body.
+        # A change in the set of bodies with external forces needs a new CUDA graph, so this set never loses a body.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)

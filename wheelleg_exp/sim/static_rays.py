@@ -103,7 +103,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # Each of the first ``len(ids)`` simulations of the batch casts one block of rays.
+            # The simulation with the number ``ids[k]`` casts the rays of row k of ``starts[some]`` and ``ways[some]``.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

@@ -113,7 +113,7 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # Overflow raises an error, so mujoco-warp need not print a warning.
+        self._m.opt.warn_overflow = 0  # Overflow of a contact or constraint buffer raises an error, not a warning.
         # A contact sensor considers at most ``most`` contacts, which is at least twice the contacts that it reports.
         of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
         slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
@@ -139,7 +139,7 @@ class WarpEngine(Engine):
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
         most_kept = dict.fromkeys(_MOTION, _HUGE)
-        # ``_rows`` has each state field's array, initial values, and the smallest magnitude that a reset overwrites.
+        # ``_rows`` has each state field's array, initial values, and limit; a reset keeps values with |value| < limit.
         self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())

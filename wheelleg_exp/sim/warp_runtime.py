@@ -27,7 +27,7 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
 
         if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads its configuration only at its start.
             wp.config.log_level = wp.LOG_WARNING
-            # The engine needs no gradient kernels, which would double the time of compiling Warp kernels.
+            # The simulation computes no gradients, and gradient kernels would double the compile time of Warp kernels.
             wp.config.enable_backward = False
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")

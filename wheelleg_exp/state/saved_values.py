@@ -61,7 +61,7 @@ class NamedStream(Kept, torch.Generator):
 
 
 class Unsaveable(Exception):
-    """The error for a value whose state cannot be saved."""
+    """The exception ``Unsaveable`` reports a value whose state cannot be saved."""
 
     def __init__(self, path: str, value: Any, why: str = "") -> None:
         kind = type(value)

@@ -26,7 +26,7 @@ class Misfit:
 
     message: str
     expected: str
-    # ``keys`` is the path of the wrong part in a checked config value; a wrong list element has the path of the list.
+    # In a nested config value, ``keys`` leads to the wrong value, or to the list that contains the wrong value.
     keys: tuple[str, ...] = ()
     nearest: str | None = None  # ``nearest`` is the valid word that is most similar to the wrong config value.
     is_type: bool = False  # ``is_type`` is true for a config value of a wrong type, and false for a value out of range.
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # The expected value in each error must also contain the constraints of the type annotation.
+    if found:  # An error must name the type with its constraints, such as 'a number, at least 0', not only 'a number'.
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m

@@ -47,7 +47,7 @@ def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call arbitrary code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
-        # Suggest a dotted path in which the most similar allowed package replaces the wrong top package.
+        # Suggest the path ``target`` with its first name replaced by the most similar name of an allowed package.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
         declared = 'or in a package that your project declares (recipe "A term of your own")'

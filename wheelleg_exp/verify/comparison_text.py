@@ -17,7 +17,7 @@ class Divergence:
     """The first difference between two runs."""
 
     iteration: int | None  # The first training iteration in which two runs differ; None if no iteration is known.
-    part: str  # The differing part of two runs, such as ``settings``; ``files`` means a missing or damaged file.
+    part: str  # ``part`` names what differs between two runs, such as ``settings`` or ``files`` (missing or damaged).
     name: str  # The first key, hash, scalar, tensor, or entity that differs between two runs.
     a: Any = None  # The value of ``name`` in run A; None if ``name`` has several values.
     b: Any = None
@@ -105,7 +105,7 @@ def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change
         yield from ("", "environment: no recorded fact differs")
         return
     yield from ("", "these differ, but changed no number" if equal else "these differ, and may be the cause")
-    # Sort code differences of two runs first, then facts that can change numbers, and package versions last.
+    # List two runs' code differences first, then causes of other rounding such as the CPU, and package versions last.
     ordered = sorted(found, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
     rows = [_fact_row(difference) for difference in ordered]
     rows += [(change.key, brief(change.a), brief(change.b), "changes no number") for change in harmless]

@@ -38,7 +38,7 @@ class Comparison:
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]  # How the code, versions, hardware, threads, and variables of two runs differ.
+    environment: list[FactDifference]  # Two runs can differ in code, versions, hardware, or environment variables.
     tolerance: Tolerance | None = None  # None, unless a cause such as another CPU explains two runs' unequal numbers.
 
     def as_dict(self) -> dict[str, Any]:

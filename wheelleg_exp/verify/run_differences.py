@@ -121,7 +121,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
-_WIDEST = 40  # The largest number of characters of a printed config value.
+_WIDEST = 40  # In a text that compares two runs, a config value has at most 40 characters.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 

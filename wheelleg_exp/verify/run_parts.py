@@ -87,7 +87,7 @@ def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> S
 State = Literal["equal", "different", "not compared"]
 Sides = tuple[Measured, Measured]  # The two compared runs A and B.
 
-_TIME = "seconds"  # The suffix of results that are durations, which differ even between equal runs.
+_TIME = "seconds"  # Results whose name ends with ``seconds`` are durations, which differ even between equal runs.
 
 
 @dataclass(frozen=True)

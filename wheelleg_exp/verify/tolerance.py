@@ -65,7 +65,7 @@ class Tolerance:
     start: list[Excess]  # The largest deviations between two runs in the first iteration in which the runs differ.
     end: list[Excess]  # The deviations between two runs' final returns and between their final episode lengths.
     note: str = ""  # A text that explains which numbers of two runs were not compared, and why.
-    needs_end: bool = False  # True if two runs must also agree in their final returns and episode lengths.
+    needs_end: bool = False  # True if small first deviations do not suffice: final returns must also be similar.
 
     @property
     def unknown(self) -> bool:

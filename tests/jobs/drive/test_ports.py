@@ -26,7 +26,7 @@ def test_a_port_in_use_is_reported_with_other_ports(busy):
 
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_what_is_no_port_is_told(port):
-    with pytest.raises(WheellegError, match=f"there is no port {port} for the page"):
+    with pytest.raises(WheellegError, match=f"the port {port} for the page is not a valid TCP port"):
         require_free(port, "the page")
 
 

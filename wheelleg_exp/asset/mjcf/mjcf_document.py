@@ -66,7 +66,7 @@ class Names:
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}
         self.anchors: dict[str | None, list[tuple[str, desc.Pose]]] = {}
-        # A MuJoCo equality that closes a loop connects two sites, because each site gives a frame in one of the bodies.
+        # To close a loop of bodies, a MuJoCo equality connects two sites, one on each of the two bodies.
         for closure in robot.closures:
             made = self.equalities.setdefault(closure.name, [])
             several = len(closure.anchors) > 1

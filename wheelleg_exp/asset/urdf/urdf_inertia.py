@@ -16,7 +16,7 @@ from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
 from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
 from wheelleg_exp.asset.usd.gprims import Shape
 
-NOISE = 1e-6  # The radius of gyration of a link is at least this number of metres.
+NOISE = 1e-6  # A link's inertia with a radius of gyration below 1e-6 m counts as missing in the URDF.
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 

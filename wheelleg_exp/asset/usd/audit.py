@@ -193,7 +193,7 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         if "PhysicsMaterialAPI" in applied:
             return "not needed: the bound shapes have a mass, or nothing is bound to this material"
         return "mass properties count only on bodies, colliders, and materials"
-    # If the MJCF omits a USD joint, the report gives this omission as the reason for each property of the joint.
+    # A property of a USD joint is omitted if the MJCF omits the whole joint.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"

@@ -302,7 +302,7 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         if all(value is None or value for value in values):
             continue
         # A self-collision setting on a USD joint applies to the bodies that the joint connects.
-        # A self-collision setting on any other USD prim applies to the bodies at or below the prim.
+        # A self-collision setting on a USD prim that is not a joint applies to the bodies at or below the prim.
         path = str(prim.GetPath())
         joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
         for link in joined or graph.links.below(Sdf.Path(path)):

@@ -49,7 +49,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     order = report.dof_order  # The printed table of joints lists the joints in MuJoCo's order.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
-    # For each rule that assumes a missing value, print the value and the joints or links that use the value.
+    # Print the values that the converter assumed because the robot file lacks them, and the joints or links affected.
     rules: dict[str, dict[str, str]] = {}
     for item in report.assumptions:
         rules.setdefault(item.rule, {})[item.path] = item.value

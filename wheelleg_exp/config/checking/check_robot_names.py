@@ -72,7 +72,7 @@ def names_in_mjcf(file: Path) -> RobotNames:
 
 ROBOT = "robot"
 _KINDS = {"joint_names": "joint", "body_names": "body"}
-# The parameters of action terms and actuators that can be mappings from joint-name expressions to values.
+# `_BY_JOINT` lists the parameters of action terms and actuators that can map joint-name expressions to values.
 _BY_JOINT = {
     "actions": ("scale", "offset", "clip"),
     "actuators": ("stiffness", "damping", "effort_limit", "velocity_limit", "armature"),

@@ -40,8 +40,8 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 class Leniency:
     """The mistakes that a ``TolerantLoader`` ignores while it composes a config.
 
-    ``empty`` contains config paths that are treated as empty files; ``unused`` contains the ``group@package`` of
-    ignored overrides in defaults lists; ``failed`` is the config path that failed to load last.
+    ``empty`` lists the config files whose content is ignored. ``unused`` lists the ``group@package`` of ``override``
+    entries that are ignored in defaults lists. ``failed`` is the last config file that raised an error while loading.
     """
 
     empty: set[str] = field(default_factory=set)
@@ -294,7 +294,7 @@ class _Search:
             return False
         self.leniency.empty.add(path)
         self.lost += self._places(path)
-        if error.nearest:  # Ignore errors in the settings of the option whose name was misspelled.
+        if error.nearest:  # Ignore errors about the config key that the correctly spelled config file would set.
             self.lost.append(f".{error.nearest}")
         return True
 

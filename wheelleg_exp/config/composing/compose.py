@@ -133,12 +133,12 @@ class Composed:
 
     @property
     def files(self) -> list[Path]:
-        """The paths of the config files from which Hydra composed the config."""
+        """Return the paths of the config files from which Hydra composed the config."""
         return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
     def asset_roots(self) -> tuple[Path, ...]:
-        """The folders in which ``paths.find_asset`` searches the user's robot files."""
+        """Return the folders in which ``paths.find_asset`` searches for the user's robot files."""
         return tuple(root for d in self.config_dirs for root in (d.parent / "assets", d.parent))
 
     def hydra_files(self) -> dict[str, str]:

@@ -313,7 +313,7 @@ def usual_header(repository: Repository, group: str, without: Path | None = None
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # Require a `# @package` line in only half of a group's files, because the checked file, which lacks it, counts too.
+    # If one of a config group's two files has a `# @package` line, the other file must have this line too.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 

@@ -166,7 +166,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # Find the file whose defaults list already selects an option of the config group that is selected twice.
+    # Find the config file whose defaults list selects an option of the config group ``key`` without ``override``.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"

@@ -85,7 +85,7 @@ class Provenance(Mapping[str, Source]):
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # Do not fall back to a top-level section such as `env`, because its first value is unrelated to a missing key.
+        # The file and line of a top-level section such as `env` would not help a user to find a missing key.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # Move all values in the parent section of a deleted config key next to each other, without reordering them.
+            # After deleting a config key, store the values of its parent section consecutively, in their old order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -143,7 +143,7 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # Do not list the source of an empty mapping as replaced, because later config files only add keys to the mapping.
+    # Later config files never replace an empty mapping; they only add keys to the mapping.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 

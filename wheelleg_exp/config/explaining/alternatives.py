@@ -155,7 +155,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    from wheelleg_exp.config.composing.compose import compose  # Import Hydra only if the cache lacks the config.
+    from wheelleg_exp.config.composing.compose import compose  # Hydra is slow to import, so read a cached config first.
 
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):

@@ -52,7 +52,7 @@ class LibraryTerm:
 
 
 def library() -> list[LibraryTerm]:
-    """Return the public terms of the package ``wheelleg_exp.mdp``, section by section."""
+    """Return the public manager terms of the package ``wheelleg_exp.mdp``, grouped by manager."""
     return [term for name, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{name}"))]
 
 
@@ -150,7 +150,7 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
             _require_group(group, names)
         chosen = [group] if group is not None else names
         entries = [_entry(loader, name, option) for name in chosen for option in loader.options(name)]
-    # Config groups without terms, such as the group of sensors, can contain nodes with ``_target_``.
+    # Omit config groups such as ``sensor``, whose files have a ``_target_`` but do not define manager terms.
     term_groups = {section.removesuffix("s") for section in RESERVED}
     found = [entry for entry in entries if entry.target is not None]
     return [_with_docstring(e) for e in found if group is not None or e.group.split("/")[0] in term_groups]

@@ -57,7 +57,7 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # A mapping's comment is at the line of the mapping's key, but ``source.line`` is the line of one value.
+            # A YAML mapping's comment is at the mapping's key, but ``source.line`` can be a line inside the mapping.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -127,7 +127,7 @@ class Explanation:
     ``value`` is the resolved value of a config key, or the default if the config does not set the key. ``raw`` is the
     unresolved config value if it contains ``${...}``, otherwise None. ``sources`` lists the files and overrides that
     set the config key, oldest first. The last of the ``sources`` can be an override that removed the config key.
-    ``mount`` is the config group that defines the section or term at ``key``, and ``option`` is the term's name.
+    ``mount`` is the config group whose options can set ``key``; ``option`` is one option's name, such as ``alive``.
     """
 
     key: str
@@ -255,7 +255,7 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     if slot is None or not has_place or key_slots.section_of(keys) is not None:
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
-        return None  # The key's parent section is missing and could have any name, so the key cannot be explained.
+        return None  # The key's parent section does not exist, so the keys allowed in this section are unknown.
     notes = meanings(tree, keys, slot, ())
     default = None if slot.default is key_slots.REQUIRED else slot.default
     return Explanation(

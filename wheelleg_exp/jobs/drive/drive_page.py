@@ -35,7 +35,7 @@ def require_free(port: int, use: str) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((LOOPBACK, port))
     except OverflowError as error:
-        raise _port_error(f"there is no port {port} for {use}", "0 to 65534") from error
+        raise _port_error(f"the port {port} for {use} is not a valid TCP port", "0 to 65534") from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise port_in_use(port, use) from error
@@ -312,7 +312,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # A key or a drive script changed the robot's command ``name``.
+                if self._mirrored.get(name) != value:  # A key or a drive script changed a command, so move its slider.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 

@@ -32,7 +32,7 @@ class Entry:
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False  # If true, each command that ``values`` lacks becomes 0, or the middle of a range without 0.
+    stops: bool = False  # If true, each command that the script entry omits becomes 0 (mid-range if 0 is invalid).
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def _entry(
 def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:
     value = item.get(key, default)
     if not _is_number(value) or value < 0.0:
-        raise ConfigError(f"the time in seconds is {value!r}", key=key, where=place.of(key), expected="at least 0")
+        raise ConfigError(f"invalid time in seconds: {value!r}", key=key, where=place.of(key), expected="at least 0")
     return float(value)
 
 

@@ -77,7 +77,8 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # the inertia about a joint axis while all joints move
+    # ``effective`` is the inertia that a torque at one joint accelerates while all other joints can move freely.
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
     found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
@@ -202,7 +203,7 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
     """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
-    # Libraries compute different actions in float32; in float64, the actions are equal after rounding to float32.
+    # torch and NumPy round float32 sums differently; actions that are computed in float64 and then rounded are equal.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:

@@ -155,7 +155,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     with for_people(target), temporary_folder(target) as work:
         differences, notes = _fill(work, run, checkpoint)
         sync_folder(work)
-        # Rename the finished folder; if its final name exists, append a number or raise an error.
+        # If a folder with the default name exists, append a number to the name; if a user chose the name, raise.
         number, place = 1, target
         while place.exists() or place.is_symlink():
             if output is not None:

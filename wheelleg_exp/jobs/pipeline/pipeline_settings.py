@@ -85,7 +85,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # Entering this context checks the initial policy of the first phase.
+                pass  # ``initial_file`` checks the initial policy (checkpoint) of the pipeline's first phase.
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:

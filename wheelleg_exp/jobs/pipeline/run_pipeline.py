@@ -84,7 +84,8 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        read_section(Protocol, protocol, "protocol")  # Check an evaluation's settings before setting its episodes to 1.
+        # Check the settings of the evaluation before the number of episodes in each of its tests is set to 1.
+        read_section(Protocol, protocol, "protocol")
     protocol["resamples"] = 1
     for test in _TESTS:
         if protocol.get(test) is not None:

@@ -209,7 +209,7 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     if manifest.data.get("config_variables") is None:
         return environ
     # An environment variable that the config names and the manifest lacks was not set in the original run.
-    # Remove environment variables that were not set in the original run, except variables that no manifest records.
+    # Remove environment variables that the original run lacked; keep variables with secrets, which no manifest records.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
 
@@ -302,7 +302,7 @@ def _train(
 ) -> dict[str, Event]:
     """Train a run again in a child process; return the child's last message of each type."""
     # With the option -P, Python imports nothing from the working directory.
-    # The program is passed as text, so that the child process imports no file of the current ``wheelleg_exp``.
+    # Pass the code of the child process as text, so that the child imports no file of the current ``wheelleg_exp``.
     code = Path(restored_imports.__file__).read_text(encoding="utf-8")
     places = json.dumps({name: str(place) for name, place in source.places.items()})
     last: dict[str, Event] = {}

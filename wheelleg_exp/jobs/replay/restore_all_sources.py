@@ -125,7 +125,7 @@ def _restore(
                 "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
             )
         source.places[PACKAGE] = folders.pop(0)
-    # Add a note about source files that the run did not record.
+    # Add a note to the replay's output for each source file that the original run did not capture.
     for entry in record["refused"]:
         now = "is as committed" if os.path.lexists(destination / entry["path"]) else "is missing"
         source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")

@@ -38,9 +38,9 @@ _IGNORED_KEYS = ("noise",)  # The keys of an observation term that can change wh
 class Fit:
     """The differences between the settings of a policy's earlier training and the settings of a new training."""
 
-    mistakes: list[ConfigError]  # ``mistakes`` names changed settings that make the earlier training's policy unusable.
+    mistakes: list[ConfigError]  # ``mistakes`` names changed settings that make an already trained policy unusable.
     suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change an observation's width.
-    notes: list[str]  # ``notes`` names changed settings with which the earlier training's policy may remain usable.
+    notes: list[str]  # ``notes`` names changed settings with which an already trained policy may remain usable.
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
@@ -225,7 +225,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # A distillation run has a student and no actor, so its settings are not compared.
+    if "actor" not in agent:  # A distillation run has no actor that could be compared with the new training's actor.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:

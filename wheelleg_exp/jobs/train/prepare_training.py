@@ -56,7 +56,7 @@ class Recipe:
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None  # For ``agent.matmul: auto``, a resume uses the recorded choice; None means a new choice.
+    matmul: str | None = None  # For a resume, ``matmul`` is the run's precision of matrix products; otherwise, None.
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,7 @@ def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
             raise RunDirectoryError(message, key=str(path), expected="the snapshot of the run; without it, train again")
         if name in recorded and sha256(path) != recorded[name]["sha256"]:
             expected = "the unchanged file; overrides change settings, 'wheelleg resume RUN key=value'"
-            raise RunDirectoryError("the file was changed after the run started", key=str(path), expected=expected)
+            raise RunDirectoryError("a run's file was changed after the run started", key=str(path), expected=expected)
 
 
 def _config_dirs_of_command(manifest: Manifest) -> list[str]:

@@ -94,7 +94,8 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            if failed or "non_finite" in training.manifest.results:  # A NaN may come from before a resume.
+            # Replace a count of NaNs that the run's manifest contains from before a resume.
+            if failed or "non_finite" in training.manifest.results:
                 results["non_finite"] = dict(failed)
             yield iteration
     except SimulationFailure as error:

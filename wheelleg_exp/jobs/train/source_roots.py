@@ -44,7 +44,7 @@ def source_roots(composed: Composed) -> list[Path]:
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
     """Return the imported packages that are not in ``roots``, the standard library, or a virtual environment."""
-    # Modules that were imported through ``PYTHONPATH``, the working directory, or a path file may affect the training.
+    # Modules imported through ``PYTHONPATH``, the working directory, or a ``.pth`` file may affect the training.
     known = [root.resolve() for root in roots] + _python_folders()
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):

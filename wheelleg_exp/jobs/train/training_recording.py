@@ -142,7 +142,7 @@ class TrainingRecording(ObservingRecording):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        # At most, an episode of maximum length starts after ``options.steps - 1`` recorded frames of an environment.
+        # The number of recorded frames is largest if a full-length episode starts after ``options.steps - 1`` frames.
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]

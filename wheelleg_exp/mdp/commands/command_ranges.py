@@ -57,7 +57,7 @@ class RangedCommand(CommandTerm):
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
         with torch.inference_mode(False):  # Outside inference mode, inference tensors cannot be changed in place.
-            self._bounds = self._present()  # A checkpoint saves each tensor attribute, but a tuple only if it changed.
+            self._bounds = self._present()  # A checkpoint contains a tuple of tensors only if the tensors have changed.
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:

@@ -47,8 +47,8 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
     """Return what is wrong with a pair of distribution parameters, or None for a valid pair.
 
-    The rules for a pair are Isaac Lab's. With ``least`` equal to ``above 0`` or ``at least 0``, drawn factors must
-    fulfil this condition. With an empty ``least``, drawn factors can be negative.
+    The rules for a pair are Isaac Lab's. The string ``least`` is a condition for random factors: ``above 0``,
+    ``at least 0``, or an empty string, which allows negative factors.
     """
     first, second = pair
     gaussian = distribution == "gaussian"

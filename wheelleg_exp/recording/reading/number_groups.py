@@ -141,7 +141,7 @@ def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
 class _Timeline:
     """The control steps that occur in at least one of several data series of a recording (rerun entities).
 
-    ``columns`` contains the time columns that all requested data series have in the recording, with ``sim_time`` in s.
+    ``columns`` maps ``step``, ``sim_time`` (s), and ``iteration``, if they are recorded, to a value for each table row.
     ``rows`` maps each data series to the table rows of its control steps, or to None if the data series fills all table
     rows.
     """

@@ -174,7 +174,7 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count damaged messages in rerun's log, because the copy also lacks undamaged data that later data replaced.
+        # Count damaged messages in rerun's log, because `rerun merge` also drops valid data that later data replaced.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 

@@ -49,7 +49,7 @@ def _digest(contents: Contents, entity: str) -> str:
     static = latest(contents.batches(entity, static=True))
     arrays = [(f"static {name}", static[name]) for name in sorted(static)]
     tables = [columns(batch) for batch in contents.batches(entity, static=False)]
-    with suppress(pa.ArrowException):  # Another program can record the rows of one entity with different Arrow types.
+    with suppress(pa.ArrowException):  # Tables of one rerun entity cannot be joined if their Arrow types differ.
         tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
     for table in tables:
         rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table

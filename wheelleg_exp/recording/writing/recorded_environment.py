@@ -169,7 +169,7 @@ class RecordedEnvironment:
     def frame_bytes(self, rows_together: int) -> float:
         """Return an upper estimate of a frame's bytes in a recording with ``rows_together`` frames per data chunk."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # A frame also contains roll, pitch, yaw, 2 entities per contact sensor, 2 velocity arrows, and all body poses.
+        # Add rerun entities that have no channel: roll, pitch, yaw, contacts, 2 velocity arrows, and body poses.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6

@@ -1,7 +1,7 @@
 """Data that is recorded between frames: ends of episodes, interval events, messages, and training scalars.
 
-A rerun data chunk of one row has about 1.5 kB of metadata, so the training scalars of several iterations are written
-together. The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all of them.
+Each data chunk in a rerun file has about 1.5 kB of metadata, so a chunk contains a training scalar of ten iterations.
+The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all training scalars.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class EventLog:
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # ``due`` has one element if all environments share the event's timer, else one element per environment.
+                # The mask ``due`` has one element if all environments share a timer, else one element per environment.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))

@@ -31,7 +31,7 @@ Convention = Literal["world", "ros", "opengl"]
 CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Convention]
 DepthClipping = Literal["max", "zero", "none"]
 DEPTHS = ("depth", "distance_to_image_plane", "distance_to_camera")
-# ``_FROM_WORLD`` has the rotation (w, x, y, z) from the axes of ``world`` to the axes of each convention.
+# For each camera convention of Isaac Lab, ``_FROM_WORLD`` has the quaternion (w, x, y, z) from convention ``world``.
 _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
     "world": (1.0, 0.0, 0.0, 0.0),
     "ros": (0.5, -0.5, 0.5, -0.5),

@@ -160,7 +160,7 @@ class ContactSensorData(Kept):
             setattr(self, name, value)
 
     def of_pairs(self) -> dict[str, torch.Tensor]:
-        """Return the tracked contact quantities of each pair of a sensed and a filtered body, by attribute name."""
+        """Return those of the contact tensors ``filtered``, ``points``, and ``friction`` that are not None, by name."""
         found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
         return {name: value for name, value in found.items() if value is not None}
 

@@ -95,7 +95,7 @@ class SensorBase(Kept):
 
     @property
     def measures_at_reset(self) -> bool:
-        """Whether the method ``refresh`` updates measurements, which can change attributes of the sensor."""
+        """True if the sensor takes new measurements after a reset, in its method ``refresh``."""
         return True
 
     def refresh(self, env_ids: torch.Tensor) -> None:

@@ -15,7 +15,7 @@ from wheelleg_exp.state import Kept
 Array = npt.NDArray[np.float64]
 # Do not import annotations from __future__ here, because the fields' annotations must be types, not strings.
 # A subclass in a user's module could not evaluate inherited string annotations, which need this module's imports.
-_POINTS = 10  # As in Isaac Lab, the heights of ten points on each ring around a flat patch are compared.
+_POINTS = 10  # As in Isaac Lab, a patch is flat if ten points on each ring around its centre have similar heights.
 _ROUNDS = 1000
 
 
@@ -241,13 +241,13 @@ def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray,
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # Remove rounding errors, so that a grid point at a lattice point gets exactly the lattice point's height.
+    # Round near-integer positions, so that a grid point at the place of a random height gets exactly this height.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # As in Isaac Lab, the outer step or rail is at 0.6 of the way from the platform to the tile's edge.
+_SECOND = 0.6  # In Isaac Lab, the outer of two rails or steps is at 60 % of the way from platform to edge of a tile.
 
 
 @dataclass(kw_only=True)

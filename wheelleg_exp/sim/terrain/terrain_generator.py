@@ -74,7 +74,7 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
             started[run] = i
 
 
-ORIGIN_WINDOW = 0.25  # The edge of a tile's central window is a quarter of the tile's edge.
+ORIGIN_WINDOW = 0.25  # Robots start at the largest height in a tile's central square, a quarter of the tile wide.
 _BYTES = 40  # NumPy, torch and MuJoCo together need 40 bytes per grid square of the ground.
 
 

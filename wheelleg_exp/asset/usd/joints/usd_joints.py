@@ -135,12 +135,13 @@ def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
 
 
 def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
-    """Return the joint's frame in body0 or body1 (or the world); the joint's localPos is scaled like the body."""
+    """Return a joint's frame relative to the joint's body 0 or 1, or to the world if the joint has no such body."""
     position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
     rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
     if not any(rotation):
         rotation = (1.0, 0.0, 0.0, 0.0)
     matrix = stage.matrix(target)
     inside = link.frame.inverse() if link else Frame.identity()
+    # A scale of the joint's body also applies to the joint's position ``physics:localPos`` in the body.
     origin = apply(matrix, np.array([position]))[0]
     return inside @ Frame(rigid_part(matrix).rotation @ rotation_matrix(rotation), origin)

@@ -131,7 +131,7 @@ class Term:
             x = np.clip(x, F(self.spec["clip"][0]), F(self.spec["clip"][1]))
         x = x * self.arrays["scale"] if "scale" in self.arrays else x
         old = np.repeat(x[None], self.length, axis=0) if self.history is None else self.history
-        self.history = np.concatenate((old[1:], x[None]))  # The history starts with the oldest sample.
+        self.history = np.concatenate((old[1:], x[None]))  # The oldest observation is the first row of ``history``.
         return self.history
 
 
@@ -165,7 +165,7 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next sensor readings fill all histories, and wheel angles count from these readings."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # ``zero`` is each wheel's angle at the reset minus the default.
+        self.zero = np.zeros(len(self.default))  # ``zero`` is a wheel's angle at the reset minus its default angle.
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
