@@ -186,5 +186,5 @@ def relation(rule: Rule) -> Callable[[_Target], _Target]:
 
 
 def rules_of(target: Callable[..., Any]) -> Sequence[Rule]:
-    """Return the rules that ``relation`` attached to a function or class; a class inherits its base classes' rules."""
+    """Return the parameter rules that the decorator ``relation`` attached to a function, class, or base class."""
     return getattr(target, _RULES, ())

@@ -1,7 +1,7 @@
 """Define every reported number, such as the mean return: its label, its unit, and its meaning.
 
-Commands, plots, reports, and pages show each number with the label and the unit that this module defines. The module's
-sections define numbers about trainings, evaluated episodes, sessions in which a user steers the robot, and recordings.
+Commands, plots, reports, and pages show each number with the label and the unit that this module defines.
+``definitions.py`` defines numbers about trainings, evaluated episodes, sessions of manual control, and recordings.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Definition:
 
 
 def ending(terms: Iterable[str]) -> str:
-    """Return the text for the termination terms that were true in an episode's last step.
+    """Return the names of the termination terms that ended an episode as one text, joined by "and".
 
     If no termination term was true, the episode ended because a reward or a state was not finite.
     """

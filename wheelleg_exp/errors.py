@@ -77,7 +77,7 @@ class AssetError(WheellegError):
     """A robot file is unreadable or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return a copy of the error with the key ``key``; the copy's message also names the old key and the file."""
+        """Return a copy of an AssetError with the key ``key``; the copy's message adds the old key and robot file."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")

@@ -96,7 +96,7 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as indented JSON atomically.
 
-    Keys keep their order. In the JSON, arrays, tensors and numpy scalars become lists and numbers, and paths become
+    Keys keep their order. Arrays, tensors and numpy scalars in ``value`` are written as lists and numbers, and paths as
     text. NaN and infinities, which JSON lacks, become the texts ``"nan"``, ``"inf"`` and ``"-inf"``.
     """
     write_text(path, dump_json(value))

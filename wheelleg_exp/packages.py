@@ -1,10 +1,10 @@
 """Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
-declared packages are read from the installed distribution. A project that is not installed is used if the current
-folder is in the project, or if ``--config-dir`` names the project. Hydra reads config files from the folder
-``configs/`` of the user's project. A package that the user's project declares is imported if a config names a function
-or class of the package in ``_target_``. Packages that a project does not declare cannot be imported from the project.
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The entry points of an installed
+project are read from its installed distribution. A project that is not installed is used if the current folder is in
+the project, or if ``--config-dir`` names the project. Hydra reads config files from the folder ``configs/`` of the
+user's project. A package that the user's project declares is imported if a config names a function or class of the
+package in ``_target_``. Packages that a project does not declare cannot be imported from the project.
 
 The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
 run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
@@ -227,7 +227,7 @@ def join(project: Project) -> None:
 
 
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
-    """Allow configs to call the packages of the given config folders or, if none is given, of a run's recorded folders.
+    """Allow configs to call functions of the user projects that contain ``folders`` (default: a run's config folders).
 
     A config folder recorded in a run is used only if the folder exists, and belongs to the current project or is
     trusted. Recorded config folders that are not trusted are ignored (see ``left_out``).
@@ -271,7 +271,7 @@ def join_folder(folder: Path) -> None:
 
 
 def forget(root: Path) -> None:
-    """Undo ``join`` for the user project in a folder, and remove the project's modules from ``sys.modules``."""
+    """Forbid configs to call packages of the user project in ``root``; remove its modules from ``sys.modules``."""
     for package in [name for name, project in _joined.items() if project.root == root]:
         del _joined[package]
         top = package.split(".")[0]
@@ -281,18 +281,18 @@ def forget(root: Path) -> None:
 
 
 def joined_packages() -> tuple[str, ...]:
-    """Return the names of the packages that are declared by the user projects passed to ``join``."""
+    """Return the names of all packages of user projects that configs can call."""
     return tuple(_joined)
 
 
 def project_of(package: str) -> Project | None:
-    """Return the user project that declares ``package``, or another package inside the same top-level package."""
+    """Return the user project that declares a package with the top-level name of ``package``, or None."""
     top = package.split(".")[0]
     return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
 
 
 def make_importable(target: str) -> None:
-    """If a user project passed to ``join`` declares the package in the dotted path ``target``, make it importable."""
+    """Make the package of the dotted path ``target`` importable if a user project declares this package."""
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
         return

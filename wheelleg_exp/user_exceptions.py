@@ -1,4 +1,4 @@
-"""Convert exceptions, such as ``SystemExit``, with which user-defined code would end the program without an error."""
+"""Convert ``SystemExit`` and similar exceptions that user-defined code raises to this package's errors."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ class Wheel:
 class Leg:
     """The chain of ``joints`` from the base to a wheel, without the wheel's joint; ``passive`` joints have no motor.
 
-    ``beside`` contains joints of the limb that are not between the base and a wheel, usually one half of a closed loop.
-    ``loops`` names MuJoCo's equality constraints that close loops in the limb.
+    ``Leg.beside`` names a leg's joints that are not between the base and a wheel, usually one half of a closed loop.
+    ``Leg.loops`` names the MuJoCo equality constraints that close kinematic loops in a leg.
     """
 
     wheel: str

@@ -47,7 +47,7 @@ class Stance:
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
-    """Find a robot's standing pose near a given pose; None if no wheel rolls or if the legs have no joints.
+    """Find a robot's standing pose near a given pose; None if the robot has no parallel wheel axles or no leg joints.
 
     The base keeps the orientation of the given pose, and only the legs' joints move. ``mujoco.minimize`` solves a
     nonlinear least-squares problem from several starts. All wheels must touch the ground; if no such pose exists, only
@@ -217,7 +217,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return a leg pose made exactly symmetric, or the given pose if symmetry raises the residuals too much."""
+        """Make a leg pose exactly symmetric, unless this raises its cost by 0.05 or more, or violates joint limits."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2

@@ -89,7 +89,8 @@ def source_digest(
 ) -> dict[str, str]:
     """Return the sha256 of every source file of the robot, by path relative to the robot file's folder.
 
-    Source files are the layers of a USD stage, or a URDF and its meshes, and the ``extra_files``.
+    A robot's source files are the layers of a USD stage, or a URDF file and its meshes. ``extra_files`` adds source
+    files, such as actuator networks, that are copied to the MJCF's folder.
     """
     source, chosen = Path(source), variants or {}
     with bounded_memory(source):

@@ -57,7 +57,7 @@ def is_placeholder(value: float) -> bool:
 def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
     """Return why a robot's mass (kg) and longest edge (m) are implausible; an empty string if they are plausible.
 
-    ``lightest`` is the smallest plausible mass per volume of a cube with the robot's longest edge, kg/m³.
+    ``lightest``, kg/m³, is the smallest plausible quotient of the robot's mass and the cube of its longest edge.
     """
     density = mass / size**3 if size > 0 else math.nan
     if not lightest <= density <= DENSITIES[1]:

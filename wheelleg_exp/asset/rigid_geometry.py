@@ -1,7 +1,7 @@
 """Compute rotations, rigid frames, rounded numbers, and the volume, centre, and inertia of solids and compound bodies.
 
 Arrays hold column vectors. Primitive shapes have closed forms. MuJoCo's compiler computes the volume and inertia of a
-mesh or of its convex hull. The moments of a capsule are the sums for a cylinder and two half spheres.
+mesh or of its convex hull. The inertia of a capsule is the sum of the inertias of a cylinder and two half spheres.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 def single(value: float) -> float:
     """Return the shortest decimal that is equal to ``value`` in single precision.
 
-    USD stores most physical quantities in single precision. For example, USD returns 0.0425 as 0.04249999970197678,
-    which becomes 0.0425. Rounding changes a number by less than the precision of the USD file.
+    USD stores most physical quantities in single precision. ``single`` converts 0.04249999970197678, the
+    single-precision value of 0.0425, to 0.0425. ``single`` changes a number by less than the precision of the USD file.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
@@ -36,9 +36,9 @@ NOISE = 1e-14  # relative error
 def rounded(value: float, scale: float | None = None) -> float:
     """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
 
-    For example, a limit of -28.64789 degrees is -0.5000000058 rad and becomes -0.5 rad. USD stores most physical
-    quantities in single precision, so the rounding error is that of single precision. The allowed rounding error is
-    proportional to ``scale``, such as a vector's length; the default of ``scale`` is the size of ``value``.
+    For a joint limit of -28.64789 degrees, which is -0.5000000058 rad, ``rounded`` returns -0.5 rad. USD stores most
+    physical quantities in single precision, so the rounding error is that of single precision. The allowed rounding
+    error is proportional to ``scale``, such as a vector's length; the default of ``scale`` is the size of ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -142,7 +142,7 @@ class Frame:
 def split_scale(linear: Array) -> tuple[Array, Array]:
     """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
 
-    If ``linear`` mirrors, ``rotation`` still has the determinant 1, and ``stretch`` has a negative determinant.
+    If the map ``linear`` has a negative determinant, ``stretch`` has one too, and ``rotation`` has the determinant 1.
     """
     # With linear = u diag(values) vt, the rotation is u vt and the stretch is vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
@@ -182,7 +182,7 @@ class Solid:
     inertia: Array
 
     def seen_from(self, frame: Frame) -> Solid:
-        """Convert the solid from coordinates of ``frame`` to coordinates of the parent of ``frame``."""
+        """Convert a solid's centre and inertia from coordinates of ``frame`` to those of the parent of ``frame``."""
         r = frame.rotation
         return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
 

@@ -109,9 +109,9 @@ class Dof:
     """One degree of freedom (three for a ball joint) of a body in its parent body, about ``axis`` through ``anchor``.
 
     The joint's axis and anchor (m) are in the body's frame. ``range`` is the joint's limits, rad (m); None if
-    unlimited. ``position`` and ``velocity`` are the joint's saved state. ``ref`` is the joint coordinate at which the
-    body is at its ``pose``. ``force_range``, N·m (N), limits the total torque (force) of the joint's motors. MuJoCo has
-    no velocity limit: ``max_velocity``, in rad/s (m/s), is the joint's velocity limit for a controller.
+    unlimited. The MJCF keyframe ``home`` contains the joint's ``position`` and ``velocity``. ``ref`` is the joint
+    coordinate at which the body is at its ``pose``. ``force_range``, N·m (N), limits the total torque (force) of the
+    joint's motors. MuJoCo has no velocity limit: ``max_velocity``, rad/s (m/s), is a limit for a controller.
     """
 
     name: str

@@ -27,14 +27,14 @@ _MOST_KNOWN = 64  # numbered combinations of settings
 class Values:
     """All attribute values of an environment's objects that CUDA graphs of the environment's step depend on or change.
 
-    A number or text that a method captured as a CUDA graph changes is a *flag*; every other number or text is a
-    *setting*. Flags (attributes that a captured method changes) are read before each replay of a CUDA graph. The many
-    settings (constant attributes) are compared only after code that may change attributes has run.
+    An attribute with a number or text is a *flag* if a captured CUDA graph's method changes the attribute, otherwise a
+    *setting*. Attributes that a captured method changes are read before each replay of a CUDA graph. An attribute that
+    no captured method changes is compared with its last value only after code that may change attributes has run.
 
     Attributes:
-        is_checked: whether no code has run since the last comparison that may have changed a setting.
-        generation: how often a new flag was found.
-        rebound: slots that some part binds to another tensor.
+        is_checked: whether no code that may change settings has run since the settings were last compared.
+        generation: how often the method ``add_flags`` has found a new flag.
+        rebound: the ids of attributes to which a captured method assigns another tensor.
     """
 
     def __init__(self, root: Any) -> None:
@@ -72,7 +72,7 @@ class Values:
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Compare the attributes ``found`` before each later replay of a CUDA graph; return whether one is new."""
+        """Add attributes to the key that selects a CUDA graph; return whether the key lacked one of the attributes."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -92,9 +92,9 @@ class Values:
     def _check(self) -> None:
         """Compare all settings (constant attributes) with their last values, and number each new combination of values.
 
-        Most comparisons of settings find no change, so comparing the values of settings must be fast. Settings are read
-        from the dictionaries and lists that contain the settings, and are compared by identity. The environment's
-        objects are searched for settings only if a dictionary or list was replaced or changed its size.
+        Most calls of ``_check`` find no changed attribute, so ``_check`` must be fast. ``_check`` first compares the
+        object in each constant attribute with the attribute's last object by identity. ``_check`` searches the
+        environment for new constant attributes only if a dictionary or list was replaced or changed its size.
         """
         before = self._present
         if not self._places or any([len(one) != size for one, size in self._sizes]):

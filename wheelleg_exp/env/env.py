@@ -46,8 +46,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         autoreset: when an environment whose episode ended is reset: within the same step; in the next step, which then
             does nothing else; or only by the caller.
         keep_final_obs: whether ``extras["final_obs"]`` holds the last observations of episodes that end.
-        observers: functions that each step calls after the rewards and before the resets.
-        reset_order: the managers in the order in which a reset resets them.
+        observers: functions that each control step calls after computing rewards and before resetting environments.
+        reset_order: the managers in the order in which a reset of environments resets the managers.
     """
 
     outside_graphs = (
@@ -124,9 +124,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         """Advance every environment by one control step with raw actions (N, A), with Isaac Lab's order of operations.
 
         Terminations and rewards are computed from the state after the physics steps. Environments whose episode ended
-        are reset after the rewards. The observation returned for a reset environment is the first one of the new
-        episode. Commands and interval events come after the resets: the returned observation shows the effect of a
-        push.
+        are reset after the rewards have been computed. The observation returned for a reset environment is the first
+        one of the new episode. New commands and interval events follow the resets, so the returned observation shows
+        the effect of a push.
 
         ``step`` returns observations by group, reward (N,), terminated (N,), truncated (N,), and extras. If an
         environment's physics or reward is NaN or inf, its episode terminates with reward 0. The entry

@@ -185,11 +185,11 @@ class Recording:
     """One recorded CUDA graph of a method, and the attribute values to copy before and after each replay.
 
     Attributes:
-        buffers: slots of tensors that the work reads or writes, and the memory that the graph uses for them.
-        shared: ids of memory that several slots use: no other values can be copied into such memory.
-        assigned: slots that the work assigned, and the value.
-        filled: dictionaries that the work filled, and their entries.
-        output: the result of the work, in the memory of the graph.
+        buffers: the tensor attributes that the method reads or writes, and the CUDA graph's tensor for each attribute.
+        shared: ids of tensors whose memory several attributes use; values of other tensors cannot be copied there.
+        assigned: the attributes to which the method assigns a value, and the assigned value of each attribute.
+        filled: the dictionaries that the method fills, and the entries of each dictionary.
+        output: the result of the method, in the memory of the CUDA graph.
     """
 
     graph: Graph
@@ -237,7 +237,7 @@ class Recording:
         return []
 
     def replay(self) -> Any:
-        """Replay the CUDA graph, and set the attributes that the recorded method sets in Python code."""
+        """Replay the CUDA graph of a method, and assign the attributes that the method assigns in Python code."""
         self.graph.replay()
         for slot, content in self.filled:
             whole = slot.get()
@@ -252,10 +252,11 @@ class Recording:
 class CapturedPart:
     """One method of the environment's step, and the CUDA graphs recorded from it.
 
-    The function ``work`` returns tensors, or for a reset (``is_reset``) a log of numbers by name. The number of
-    environments that a reset resets differs from call to call. All methods captured from one environment share the
-    object ``values``, which reads the environment's attributes. The function ``reset_caches`` is called before every
-    run and drops cached quantities. ``streams`` returns all random streams.
+    The function ``work`` runs the method of the step and returns tensors. If ``is_reset`` is True, ``work`` resets
+    environments and returns a dictionary of logged numbers. The number of environments to reset differs from call to
+    call. All methods captured from one environment share the object ``values``, which reads the environment's
+    attributes. The function ``reset_caches`` deletes the robot's cached quantities before each run of the method or
+    replay of a CUDA graph. ``streams`` returns the generators of all random streams.
     """
 
     def __init__(
@@ -323,7 +324,7 @@ class CapturedPart:
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
-        """Count a call with the attribute values ``key``; return how many of the last calls had equal values."""
+        """Count a call of a method; return how many of the method's last 1024 calls had the same attribute values."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -334,7 +335,7 @@ class CapturedPart:
         return self._counts[key]
 
     def _is_worth(self, key: Key, count: int) -> bool:
-        """Return whether the attribute values ``key`` occur often enough to record a CUDA graph for these values."""
+        """Return whether the environment had its present attribute values in enough calls to record a CUDA graph."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
         # Replace the least used CUDA graph only if the new attribute values occurred in at least twice as many calls.
@@ -344,9 +345,10 @@ class CapturedPart:
         return min(self.recordings, key=lambda known: self._counts[known])
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Delete the CUDA graph ``key``, because its memory does not fit the tensors in the attributes ``unfit``.
+        """Delete a CUDA graph, because tensors of the attributes ``unfit`` cannot be copied into the graph's memory.
 
-        The shapes and types of the tensors in the attributes ``unfit`` become part of the keys of later CUDA graphs.
+        Later CUDA graphs are replayed only if the tensors of ``unfit`` have the same shapes and types as in the
+        capture.
         """
         del self.recordings[key]
         self._values.add_flags(unfit)
@@ -397,7 +399,7 @@ class CapturedPart:
         return found
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
-        """Record the method as a CUDA graph; return None if this fails, for example if the method waits for the GPU."""
+        """Record a method as a CUDA graph; return None if this fails, for example if the method waits for the GPU."""
         # Each registered random stream costs two kernel launches per replay, so try to register only used streams.
         for streams in (self._drawn, self._streams()):
             try:

@@ -100,7 +100,7 @@ class Simulation(Kept):
         return False
 
     def is_playing(self) -> bool:
-        """Return True, because the simulations always run."""
+        """Return True (the physics simulation is running), because the simulation cannot be paused."""
         return True
 
 

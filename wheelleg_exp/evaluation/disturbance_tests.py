@@ -63,12 +63,12 @@ def push_columns(
 ) -> tuple[Columns, Trajectories]:
     """Return each episode's hardest survived push, and its recovery from a push of ``reference`` m/s, (N,) each.
 
-    ``limit_m_s`` is the hardest survived push, found by bisection between 0 and ``highest`` m/s. For the bisection,
+    ``limit_m_s`` is the hardest survived push, found by bisection between 0 and ``highest`` m/s. To find ``limit_m_s``,
     each episode is simulated ``iterations`` times from the same start, with different pushes. ``limit_m_s`` is 0 if the
     robot falls after every push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of the
-    base before the push. ``recovery_s`` is the time from the push of ``reference`` m/s until tilt and height stay
-    in their tolerance bands; NaN if the push never moves tilt and height out of the bands. ``recovered`` is 1 if the
-    robot does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
+    base before the push. ``recovery_s`` is the time from the push of ``reference`` m/s until tilt and height stay in
+    their tolerance bands; NaN if the push never moves tilt and height out of the bands. ``recovered`` is 1 if the robot
+    does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -120,9 +120,9 @@ class World:
 def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
     """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
 
-    ``worlds`` adds events that set masses, centres of mass, gains, or friction. The added events run after the task's
-    events, and overwrite the random values of the task's events. For observation noise, the standard deviations
-    ``noise_std`` of observation terms are multiplied by a factor. ``base`` is the name of the robot's root link.
+    ``worlds`` adds events that set masses, centres of mass, gains, or friction. The events of ``worlds`` run after the
+    task's events, and overwrite random values from the task's events. For observation noise, ``worlds`` multiplies the
+    standard deviations ``noise_std`` of observation terms by a factor. ``base`` names the robot's root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:

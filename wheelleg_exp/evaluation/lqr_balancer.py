@@ -67,10 +67,10 @@ class Pendulum:
         """Return the matrices A (4, 4) and B (4, 1) of the model with the state [position, pitch, speed, pitch rate].
 
         The pendulum model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative
-        to the body, so the armature cancels. With the wheel speed w, the wheel torque τ, the pitch θ, and the axle's
-        speed v = r (w + θ'), the equations of motion are ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ''
-        = τ / r``. The symbols I, m, h, r, and m_w in the equations of motion are the attributes ``inertia``, ``mass``,
-        ``height``, ``radius``, and ``rolling``.
+        to the body, so the model does not need the motors' armature. With pitch θ, axle speed v, and wheel torque τ,
+        the body's equation is ``inertia·θ'' + mass·height·v' = mass·gravity·height·θ - τ``. The wheels' equation is
+        ``(mass + rolling)·v' + mass·height·θ'' = τ / radius`` with the pitch θ, the axle speed v, and the wheel torque
+        τ. The axle speed is ``radius·(w + θ')`` with the pitch rate θ' and the wheel speed w relative to the body.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -90,7 +90,7 @@ class Pendulum:
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
-    """Return the pendulum model of a robot at its default pose without randomisation, and the robot's anatomy.
+    """Return a robot's pendulum model at the default pose without randomisation, and the robot's wheels and legs.
 
     ``pendulum_of`` raises ConfigError unless the robot stands on driven, parallel wheels of one axle.
     """

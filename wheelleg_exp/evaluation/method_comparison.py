@@ -170,7 +170,8 @@ def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
     """Return the 95 % quantile of the absolute difference between two randomly drawn bootstrap values of a metric.
 
     If a method is trained and evaluated twice with equal numbers of seeds and episodes, the two results differ by more
-    than the noise floor once in 20 times. For normally distributed values, the noise floor is 1.96 √2 standard errors.
+    than the noise floor once in 20 times. If a metric's bootstrap values are normally distributed, the metric's noise
+    floor is 1.96 √2 times their standard deviation.
     """
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))

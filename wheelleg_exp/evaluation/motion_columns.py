@@ -123,8 +123,9 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 def drift(made: Trajectories, settle_s: float) -> Columns:
     """Return the drift of each robot from its pose at the end of the settling time; (N,) each.
 
-    ``drift_max_m`` is the largest horizontal distance from the settled position, and ``yaw_drift_rad`` is the largest
-    angle from the settled yaw. ``drift_speed_m_s`` and ``yaw_drift_rad_s`` are least-squares slopes over time.
+    ``drift_max_m`` is a robot's largest horizontal distance from its position at the time ``settle_s``.
+    ``yaw_drift_rad`` is a robot's largest angle from its yaw at the time ``settle_s``. ``drift_speed_m_s`` and
+    ``yaw_drift_rad_s`` are least-squares slopes of position and yaw over time.
     """
     counted = made.counted(settle_s)
     from_there = made.pos[..., :2] - at(made.pos[..., :2], counted)
@@ -212,17 +213,17 @@ def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
 
 
 def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Columns:
-    """Return the responses to three command steps, (N,) each; NaN if the robot fell or did not respond.
+    """Return settling times, overshoots, and stopping distances after steps of the velocity command; NaN after a fall.
 
     * ``settle_s``: after the step 0 → c, the time until the velocity stays within the band around c;
-    * ``overshoot``: largest velocity beyond c while driving, as a share of c;
-    * ``reversal_s``: after the step c → -c, the same for the band around -c;
+    * ``overshoot``: the largest velocity beyond c while driving, as a share of c;
+    * ``reversal_s``: after the step c → -c, the time until the velocity stays within the band around -c;
     * ``stop_s``: after the step -c → 0, the time until the speed stays below the band;
-    * ``stop_distance``: distance after that step along the previous heading, m, or the turned angle, rad.
+    * ``stop_distance``: after the step -c → 0, the distance along the previous heading, m, or the turned angle, rad.
 
     ``asked`` is the velocity command c of each episode, (N, 3). ``stop_s`` and ``stop_distance`` are NaN if the robot
     did not drive as commanded before the stop. A column such as ``settle_did`` is 1 if the time ``settle_s`` is not
-    NaN, else 0. The names of columns end in ``_wz`` for turning and in ``_vx`` for driving.
+    NaN, else 0. Each returned column exists with the suffixes ``_vx`` (forward speed) and ``_wz`` (yaw rate).
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]

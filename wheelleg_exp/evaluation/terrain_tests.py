@@ -147,12 +147,13 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     """Return columns (N,) on how each robot crosses a strip of rough ground; NaN for a robot that does not reach it.
 
-    The function ``ways`` defines the columns ``distance_ratio`` and ``success``. ``error_vx_before``, ``error_vx_on``,
-    and ``error_vx_behind`` are the RMS errors of the forward speed before, on, and behind the strip of rough ground.
-    ``swing_rad_before``, ``swing_rad_on``, and ``swing_rad_behind`` are the RMS deviations of the pitch from the
-    robot's mean pitch before the strip. ``recovery_s`` is the time after the strip until the pitch is quiet: its swing
-    over the next ``recovered_s`` seconds is at most ``quiet_factor`` times the swing before the strip, or at most
-    ``quiet_floor``. ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
+    The docstring of the function ``ways`` explains ``distance_ratio`` and ``success``. ``error_vx_before``,
+    ``error_vx_on``, and ``error_vx_behind`` are RMS errors of a robot's forward speed before, on, and behind a strip of
+    rough ground. ``swing_rad_before``, ``swing_rad_on``, and ``swing_rad_behind`` are RMS deviations of a robot's pitch
+    from its mean pitch before a strip of rough ground. ``recovery_s`` is the time from the end of a strip of rough
+    ground until a robot's pitch is quiet. The pitch is quiet if its RMS deviation in the next ``recovered_s`` seconds
+    is at most ``quiet_floor``, or ``quiet_factor`` times ``swing_rad_before``. ``recovered`` is 1 if the robot did not
+    fall and ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)

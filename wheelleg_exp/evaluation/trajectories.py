@@ -95,7 +95,7 @@ class EffortMeter(SensorBase):
         """Do nothing at a reset, because the sums of torques and work restart at each control step."""
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Do nothing, because motors do work only during physics steps."""
+        """Leave the sums of joint torques and mechanical work unchanged; only physics steps add to these sums."""
 
 
 @dataclass

@@ -66,7 +66,7 @@ class RecordingComparison:
         return not (self.different or self.only_first or self.only_second)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the comparison of the two recordings as a dictionary for JSON."""
+        """Return the result of comparing two rerun recordings as a dictionary that can be written as JSON."""
         return {"is_equal": self.is_equal, **asdict(self)}
 
 

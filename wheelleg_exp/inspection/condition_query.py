@@ -183,7 +183,7 @@ def find_hits(
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read rows outside ``selection`` too, because ``Hit.around`` contains rows shortly before and after selected rows.
+    # Also read rows outside the selected times: the result contains rows shortly before and after the selected rows.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

@@ -61,7 +61,7 @@ class Statistics:
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
-    """Return the statistics of n values, (n,). The function ``at`` maps the index of a value to a ``Moment``."""
+    """Return the statistics of ``values`` (n,); ``at`` maps a value's index to the time at which it was recorded."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     kept = values[finite]
@@ -145,7 +145,7 @@ class View:
         return np.concatenate(parts) if parts else np.empty(0)
 
     def moment(self, group: str, row: int) -> Moment:
-        """Return the control step, simulated time, iteration, and environment of a row in the result of ``column``."""
+        """Return the control step, simulated time, training iteration, and environment of the selected row ``row``."""
         for frames in self._all(group):
             if row < len(frames):
                 return frames.moment(row)

@@ -50,7 +50,7 @@ def scenery(
     """Return the drawable scene and the motion of one recorded environment.
 
     If ``env`` is None, the scene shows the environment in which the recorded number ``at`` was nonzero first, or else
-    the first environment. With ``iteration``, only nonzero values of ``at`` in this training iteration count.
+    the first environment. If ``iteration`` is given, only this training iteration is searched for nonzero values.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -79,10 +79,11 @@ def screenshot(
     ``time_s`` is the simulated time of the picture, s, from the start of the recording or of the training iteration
     ``iteration``. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a
     recorded number, such as ``terminations.base_contact``, the picture shows the first time at which this number is
-    nonzero. Without a time, the picture shows the middle of the training iteration ``iteration``, or else of the last
-    recorded sequence of control steps. If ``env`` is None, the picture shows the environment in which the recorded
-    number ``at`` was nonzero first, or else the first environment. ``screenshot`` raises WheellegError for an invalid
-    time, picture size, or path.
+    nonzero. If ``time_s`` and ``at`` are None, the picture shows the middle of the training iteration ``iteration``. If
+    ``time_s``, ``at``, and ``iteration`` are None, the picture shows the middle of the last recorded sequence of
+    control steps. If ``env`` is None, the picture shows the environment in which the recorded number ``at`` was nonzero
+    first, or else the first environment. ``screenshot`` raises WheellegError for an invalid time, picture size, or
+    path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -185,7 +186,7 @@ def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment where the recorded number ``at`` is nonzero first; None if ``at`` is a time or zero."""
+    """Return the environment in which the recorded number ``at`` is nonzero first; None if it is never nonzero."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}

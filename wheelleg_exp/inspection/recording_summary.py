@@ -79,10 +79,11 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 
 
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
-    """Group the recorded episodes of a training by recorded part. ``longest`` is the maximum episode length, steps.
+    """Group a training's recorded episodes by the recorded interval of control steps that contains the episodes.
 
-    In each recorded part of a training, the recording of each environment starts with the environment's next episode,
-    and the recordings of all environments start within ``longest`` control steps.
+    ``longest`` is the maximum episode length in control steps. In each recorded interval of a training, the recording
+    of each environment starts with the environment's next episode, and the recordings of all environments start within
+    ``longest`` control steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -159,10 +160,10 @@ class Summary:
 
     ``purpose`` is None for a recording that another program wrote. For a training, ``sample`` is the last recorded part
     of the training with a complete episode, and all statistics cover this part. If the recording is not of a training,
-    or the user selected times or iterations, ``sample`` is None, and all statistics cover the selected rows. ``frames``
-    contains the number of frames that the statistics cover and the number of all recorded frames. ``notes`` are
-    messages about the recording itself, such as a size limit that was reached. ``base`` contains statistics of the
-    base's height (m), roll, and pitch (rad).
+    or the user selected times or iterations, ``sample`` is None, and all statistics cover the selected rows.
+    ``Summary.frames`` contains two counts: the recorded frames that the summary's statistics cover, and all recorded
+    frames. ``notes`` are messages about the recording itself, such as a size limit that was reached. ``base`` contains
+    statistics of the base's height (m), roll, and pitch (rad).
     """
 
     path: str

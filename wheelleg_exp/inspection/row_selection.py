@@ -50,8 +50,8 @@ def parse_length(text: str, key: str) -> Length:
 class Selection:
     """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
-    An attribute that is None does not restrict the selection. Bounds ``begin`` and ``end`` in seconds are moved to the
-    nearest control step, so that users can enter rounded times.
+    If an attribute of ``Selection`` is None, the attribute does not restrict the selected rows. Bounds ``begin`` and
+    ``end`` in seconds are moved to the nearest control step, so that users can enter rounded times.
     """
 
     env_id: int | None = None
@@ -85,7 +85,7 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether the selection contains a row with the given control step, time, and training iteration."""
+        """Return whether a recorded row with the given control step, time, and training iteration is selected."""
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
@@ -94,7 +94,7 @@ class Selection:
 
 
 def nothing_chosen(recording: Recording) -> WheellegError:
-    """Return the error for a selection that contains no row, whose message states the recorded range."""
+    """Return an error that says that no recorded row is selected, and that names the recorded times and iterations."""
     words = {SIM_TIME: "times from {:.3f} to {:.3f} s", STEP: "steps {:.0f} to {:.0f}"}
     words[ITERATION] = "iterations {:.0f} to {:.0f}"
     spans = [text.format(*reach) for name, text in words.items() if (reach := recording.reach(name)) is not None]

@@ -112,7 +112,7 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 
 
 def smooth(values: Numbers) -> Numbers:
-    """Return a centred moving mean, whose window is a fortieth of the rows, and shorter at the first and last rows."""
+    """Return a centred moving mean over 1/40 of all values, and over fewer values near the first and last values."""
     half = max(1, len(values) // _WINDOWS // 2)
     known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))

@@ -4,7 +4,7 @@ For example, the line ``from isaaclab.managers import SceneEntityCfg`` becomes `
 import SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
 Only this package's modules ``managers`` and ``utils`` contain code. All modules except ``managers`` and ``utils`` only
-give Isaac Lab's names to existing classes. Modules without code are created from a table when the package is imported.
+give Isaac Lab's names to existing classes. At import, modules without code are created from the dict ``_MODULES``.
 """
 
 from __future__ import annotations

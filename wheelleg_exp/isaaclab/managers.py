@@ -63,8 +63,8 @@ class CommandTermCfg:
 class ActionTerm(OfEnv, managers.ActionTerm):
     """Base class of action terms with Isaac Lab's constructor ``(cfg, env)``.
 
-    A subclass defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` has the parameters from YAML;
-    its class is the type annotation of ``cfg`` in the subclass's constructor.
+    A subclass of ``ActionTerm`` defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` has the
+    parameters from YAML; its class is the type annotation of ``cfg`` in the subclass's constructor.
     """
 
     def __init__(self, cfg: ActionTermCfg, env: Env) -> None:
@@ -76,8 +76,8 @@ class ActionTerm(OfEnv, managers.ActionTerm):
 class CommandTerm(OfEnv, managers.CommandTerm):
     """Base class of command terms with Isaac Lab's constructor ``(cfg, env)``; see ``ActionTerm``.
 
-    A subclass defines ``_resample_command``, ``_update_command``, and ``_update_metrics``, and fills ``metrics``: the
-    log entries of the episodes that end, (N,) by name.
+    A subclass of ``CommandTerm`` defines ``_resample_command``, ``_update_command``, and ``_update_metrics``, and
+    writes log entries of shape (N,) into the dictionary ``metrics``.
     """
 
     metrics: Any
@@ -93,7 +93,7 @@ class CommandTerm(OfEnv, managers.CommandTerm):
         raise NotImplementedError
 
     def _update_command(self) -> None:
-        """Compute the command from the drawn values; the command manager calls this method in every control step."""
+        """Update the command in every control step, such as the yaw rate towards a commanded heading."""
 
     def _update_metrics(self) -> None:
         """Update the command's metrics; the command manager calls this method in every control step."""

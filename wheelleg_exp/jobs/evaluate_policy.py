@@ -1,4 +1,4 @@
-"""Evaluate a policy or the reference controller in the test scenarios of a protocol, and save the result.
+"""Evaluate a policy or an LQR controller in fixed test scenarios, such as standing and pushes, and save the result.
 
 Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run. ``compare`` compares the evaluations
 of several training seeds with each other and with a second group of runs.
@@ -110,7 +110,7 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A finished evaluation; ``content`` is ``evaluation.json``; the reference controller's ``checkpoint`` is None."""
+    """An evaluation's result; ``content`` equals ``evaluation.json``; ``checkpoint`` is None for the LQR controller."""
 
     run: RunDirectory
     checkpoint: Path | None
@@ -148,7 +148,7 @@ def evaluate_reference(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the reference controller on a run's robot and task, and save the result in the run directory.
+    """Evaluate an LQR controller with the robot and the task of a run, and save the result in the run directory.
 
     ``evaluate_run`` explains the arguments of ``evaluate_reference``. ConfigError means that the reference controller
     (LQR) cannot balance the robot.

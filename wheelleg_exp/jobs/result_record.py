@@ -144,8 +144,9 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    The new result files replace the files of an earlier result that has the same name. The manifests of an earlier
-    result that has the same name are removed. ``words`` are the Hydra overrides of the evaluations.
+    ``NAME.md`` and ``NAME.json`` replace earlier files with these names. Run manifests of an earlier result in the
+    folder ``NAME`` are removed unless the new result contains the same runs. ``words`` are the Hydra overrides of the
+    evaluations.
     """
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -179,7 +180,7 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
 def compare_with_reference(
     name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
 ) -> Compared:
-    """Compare evaluated runs with each other and, unless ``reference`` is None, with the reference controller."""
+    """Compare evaluated runs with each other and, unless ``reference`` is None, with an LQR controller's evaluation."""
     return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
@@ -265,8 +266,8 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run
-    that was resumed on another machine also counts as one training; the page ``NAME.md`` names both machines.
+    A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run that
+    was resumed on another machine also counts as one training; the Markdown page of results names both machines.
     RunDirectoryError means that no uninterrupted training can reproduce the run.
     """
     data = run.manifest().data
@@ -337,7 +338,7 @@ def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
 
 
 def result_manifest(run: RunDirectory) -> dict[str, Any]:
-    """Return those entries of a run's manifest that ``write_results`` copies next to the result's numbers."""
+    """Return those entries of a run's manifest that ``write_results`` saves in the file ``<run id>.json``."""
     data = run.manifest().data
     source = data.get("source") or {}
     result = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}

@@ -65,7 +65,7 @@ class StandMeter:
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
-        """Add the heights, pitch angles, and rewards of a control step; call ``observe`` before environments reset."""
+        """Update the statistics of height, pitch, and reward once per control step, before environments are reset."""
         env, now = self._env, self.running
         for env_id, keys in env.extras.get("non_finite", {"keys": {}})["keys"].items():
             if now[env_id]:
@@ -131,7 +131,7 @@ class ContactMeter:
         self._count = 0
 
     def observe(self) -> None:
-        """Add the contact forces of a control step; call ``observe`` before environments are reset."""
+        """Update the statistics of the contact forces once per control step, before environments are reset."""
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
@@ -207,7 +207,7 @@ class MotionMeter:
         self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
-        """Add the drift, actions, and torques of a control step; call ``observe`` before environments are reset."""
+        """Update the statistics of drift, actions, and torques once per control step, before environments are reset."""
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)

@@ -98,7 +98,7 @@ class ObservingRecording:
                 self._live.close()
 
     def warn(self, report: Callable[[str], None]) -> None:
-        """Pass each note about the recording to ``report`` as a warning."""
+        """Pass each warning about the recording file, such as a small size limit, to the function ``report``."""
         for note in self.notes:
             report(f"warning: {note}")
 
@@ -186,7 +186,7 @@ def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[
 
 
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
-    """Write the dataset's remaining episodes; write unfinished episodes if ``env.dataset.export_in_close`` is true.
+    """Write recorded episodes that no file has yet, with unfinished ones if ``env.dataset.export_in_close`` is set.
 
     If ``iteration`` is None, the dataset's file is ``episodes.npz``, for a rollout that has not written any file.
     """

@@ -44,7 +44,7 @@ class QueueWorker:
     _relayed: Future[str] | None = None
 
     def __call__(self, folder: str) -> str:
-        """Run the job that ``request.json`` in the folder describes, and return the job's status."""
+        """Run the job that the file ``request.json`` in ``folder`` describes, and return the job's status."""
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         if (place / EVENTS).exists():
@@ -169,7 +169,7 @@ class QueuedJob:
             self.ticket.cancel()
 
     def close(self) -> None:
-        """Do nothing, because the job's event file remains in the job's folder for users."""
+        """Leave the job's files in place, so that users can read the job's file ``events.jsonl`` later."""
 
     def describe_death(self) -> str:
         """Return the reason that the queue gives for the end of the job."""

@@ -62,7 +62,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return changed entries of ``threads`` if the thread count changes bfloat16 products, else an empty dictionary.
+    """If the thread count changes bfloat16 matrix products, return manifest entries that say so; otherwise, return {}.
 
     ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
     """
@@ -86,8 +86,8 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 def mkl_in_force() -> dict[str, Any] | None:
     """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
-    ``branch`` and ``strict`` in the returned dictionary are None if MKL does not report its mode. After the
-    first call of ``mkl_in_force``, changes of MKL's environment variables have no effect.
+    If MKL does not report its mode, the returned code branch and the returned strict mode are None. After the first
+    call of ``mkl_in_force``, changes of MKL's environment variables have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None

@@ -1,7 +1,8 @@
-"""The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
+"""Diagnose a robot for the command ``wheelleg doctor``: list problems, the most urgent first, and notable facts.
 
-``doctor`` inspects the robot of a task, or a robot file. ``doctor`` inspects a robot file on level ground, with the
-pose, drives, and limits of the file. For a task, ``doctor`` also simulates a short trial with random actions.
+The command ``wheelleg doctor`` diagnoses the robot of a task, or a robot file. A robot file is diagnosed on level
+ground, with the pose, drives, and limits of the file. To measure a task's rewards, ``wheelleg doctor`` simulates the
+task for two seconds with random actions.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _ENVS, _SECONDS = 32, 2.0
 def random_rewards(composed: Composed) -> Mapping[str, float]:
     """Return each reward term's mean reward per second under standard normal actions, by name.
 
-    The mean rewards are measured in a simulation of two seconds in 32 environments. The config must have no errors.
+    ``random_rewards`` simulates 32 environments for two seconds, and requires that ``composed`` has no config errors.
     """
     config = copy.deepcopy(composed.config)
     config["env"]["num_envs"] = _ENVS
@@ -235,7 +236,7 @@ def diagnose_file(source: Path) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, the robot's start pose, and the robot's drives. The config must have no errors."""
+    """Diagnose a task's robot, its start pose, and its drives. The task's config ``composed`` must have no errors."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]

@@ -37,8 +37,9 @@ class TermView:
 class Case:
     """A config without mistakes, and the robot of the config.
 
-    ``robot`` is None if the facts about the robot were measured, but the robot's model is not available. ``trial`` maps
-    each reward term to the mean reward per second in a simulation with random actions; None if no simulation ran.
+    ``robot`` contains the robot's compiled MuJoCo model. ``robot`` is None if only the robot's measured properties
+    ``facts`` are known. ``trial`` maps each reward term to the mean reward per second in a simulation with random
+    actions; None if no simulation ran.
     """
 
     config: Mapping[str, Any]
@@ -121,8 +122,8 @@ def largest(pair: Any) -> float:
 class Finding:
     """One implausible number in a config, with the problem and what to do.
 
-    ``figures`` contains the numbers of the finding in SI units. ``advice`` contains alternative changes of the config,
-    each a mapping from config keys to new values that removes the finding. ``where`` is the file and line, or the
+    ``figures`` contains numbers that describe the problem, by name and in SI units. ``advice`` contains alternative
+    fixes. Each fix maps config keys to new values that solve the problem. ``where`` is the file and line, or the
     override, that set the config key.
     """
 
@@ -179,7 +180,7 @@ DIGITS = 2
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """Return a text with the first ``most`` of the names in quotes, and the number of omitted names."""
+    """Return a text that quotes at most ``most`` names and, if there are more names, counts the omitted names."""
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 

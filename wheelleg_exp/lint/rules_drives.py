@@ -100,8 +100,8 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
     """The wheel drives are too weak or too slow to balance a robot on one axle.
 
     Wheels catch a lean of 0.1 rad only if the wheels accelerate with 0.1 g, which needs a force of a tenth of the
-    weight. The top speed of the wheels' rims must exceed 0.1 rad · h · p for a mass at height h that falls at rate p.
-    Source: the inverted pendulum on wheels.
+    weight. If the robot's centre of mass is h above the axle, and its tilt grows as exp(p·t), the wheels' rims must be
+    faster than 0.1 rad · h · p. Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -188,8 +188,8 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
     An explicit drive computes the torque from the state before the physics step. An explicit drive with the gains kp
     and kd is stable for kd·dt/I < 2 and kp·dt²/I < 4 - 2·kd·dt/I (time step dt, joint inertia I). A drive with implicit
     damping and the gains kp and kd is stable for kp·dt²/I < 4 + 2·kd·dt/I. The joint inertia I includes the armature,
-    and assumes that all joints can move. Source: Jury's stability criterion for the semi-implicit Euler method of
-    MuJoCo's documentation (Computation, "Numerical integration").
+    and assumes that all joints can move. Source: the bounds of kp and kd follow from Jury's stability criterion for
+    MuJoCo's semi-implicit Euler method (documentation, chapter Computation, "Numerical integration").
     """
     dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
     for group, joints in _groups(case).items():

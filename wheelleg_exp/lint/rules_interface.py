@@ -43,7 +43,7 @@ def action_scale(case: Case) -> Iterator[Finding]:
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return a message about a bad action scale, a hint (empty if another scale helps), and the message's numbers."""
+    """Return a message about a bad action scale, a hint (empty if another scale helps), and a dictionary of numbers."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -182,7 +182,7 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation
     component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The
     rule ``observation_scale`` skips observations that only networks with input normalisation receive. Source:
-    Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
+    Andrychowicz and others (2021, "What matters in on-policy reinforcement learning?") recommend input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]

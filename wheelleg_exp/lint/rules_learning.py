@@ -128,7 +128,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest reward weight at which an acceptable robot error costs 1 % of the best reward, or None."""
+    """Return the smallest weight with which an error of ``item.tolerance`` costs 1 % of a perfect robot's reward."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -189,12 +189,12 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
 
 @rule
 def discount_horizon(case: Case) -> Iterator[Finding]:
-    """The horizon of the discount is longer than an episode, or shorter than a fall.
+    """The discount's horizon 1/(1 - gamma) is longer than an episode, or shorter than the fall of a robot.
 
     The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
     longer than the episode, the agent optimises rewards that it cannot receive. If the discount's horizon is shorter
-    than a fall, the agent cannot learn which action caused the fall. A fall lasts about five time constants of the
-    robot's unstable pole. Source: the discounted return.
+    than a robot's fall, the agent cannot learn which action caused the fall. A fall lasts about five time constants of
+    the robot's unstable pole. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -217,7 +217,7 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
 
 
 def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
-    """Return a hint about gamma, and the recommended gamma = 1 - ``share`` unless episodes are shorter than a fall."""
+    """Recommend the gamma 1 - ``share``, or longer episodes if an episode is shorter than a robot's fall."""
     if case.episode_s < fall:
         return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
@@ -230,8 +230,8 @@ def late_average(case: Case) -> Iterator[Finding]:
 
     Up to training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
     After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
-    After i training iterations, the share (1 - 1/n)^(i - n) of the averaged weights still comes from the first n
-    iterations. Source: the weights of an exponential mean.
+    With ``average_iterations`` = n, the first n of i training iterations have the share (1 - 1/n)^(i - n) in the
+    averaged policy weights. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:

@@ -10,16 +10,16 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Finds environments whose episode ended; the host computes the indices from copies of masks (N,).
+    """Copies boolean masks (N,) of ended and failed environments to the host, and computes the indices there.
 
     The method ``start`` starts to copy the masks of ended and failed environments to the host, and the GPU continues to
     work. The method ``ids`` waits for the masks that ``start`` copies, and returns indices of ended and failed
     environments. On a GPU, ``ids(also_failed, at_once=False)`` does not wait for the mask ``also_failed`` of further
-    failed environments. The method ``late`` waits for ``also_failed``, and returns failed environments that ``ids``
-    omitted.
+    failed environments. The method ``late`` waits until the host has the mask ``also_failed`` of failed environments,
+    and returns their indices.
 
     Attributes:
-        answers_late: whether ``ids`` can omit failed environments that ``late`` returns; True on a GPU.
+        answers_late: whether the method ``ids`` can omit failed environments, which ``late`` returns; True on a GPU.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
@@ -44,7 +44,7 @@ class AsyncMaskQuery:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
         ``also_failed`` (N,) is a mask of further failed environments, such as environments with NaN rewards. On a GPU
-        with ``at_once=False``, ``ids`` omits the environments of ``also_failed``, and ``late`` returns them.
+        with ``at_once=False``, ``ids`` omits the environments of ``also_failed`` and does not wait for this mask.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -56,7 +56,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return failed environments for which ``ids`` did not wait, and those of them whose episode has not ended."""
+        """Return the failed environments that ``ids`` omitted, and the omitted ones whose episode continues."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -84,8 +84,9 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    For a GPU tensor, the function usually returns True without waiting for the GPU, and detects NaN or inf in a later
-    call. After the function has detected NaN or inf, its next ``_PATIENCE`` calls wait for the GPU.
+    For a GPU tensor, ``is_finite`` usually returns True without waiting for the GPU. If the GPU tensor is NaN or inf, a
+    later call of ``is_finite`` detects this. After ``is_finite`` has detected NaN or inf, the next 256 calls of
+    ``is_finite`` wait for the GPU.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))

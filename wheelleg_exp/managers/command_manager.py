@@ -1,4 +1,4 @@
-"""Commands: what the robot must do, drawn again at random times."""
+"""Draw random commands, such as target velocities that the robot must follow, and draw new commands at random times."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def post_process(self) -> None:
-        """Compute ``command`` from the values that ``draw`` stored; ``compute`` calls this in every control step."""
+        """In every control step, compute ``command`` from the values that the method ``draw`` stored."""
 
     def compute(self, dt: float) -> torch.Tensor:
-        """Update the metrics, draw new commands if their timers expired, and return the step's tracking errors."""
+        """Update the command's metrics, draw commands whose timer expired, and return the tracking errors."""
         errors = self.errors()
         shape = self.error_sums.shape
         if getattr(errors, "shape", None) != shape:
@@ -117,7 +117,7 @@ class CommandManager(ManagerBase):
     """Advances all command terms, and logs the metrics of the terms.
 
     Attributes:
-        step_errors: errors of the metrics in the last step, (M, N) by term; not state.
+        step_errors: the last control step's tracking errors (M, N) of each command term; checkpoints omit these errors.
     """
 
     kind = "commands"

@@ -137,7 +137,7 @@ class Term(Kept):
         return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
     def blamed(self) -> AbstractContextManager[None]:
-        """Return a context manager that adds the term's config key to errors."""
+        """Return a context manager that adds a manager term's config key to errors raised in the ``with`` block."""
         return self._lending() if self.lends else _Blamed(self)
 
     @contextmanager
@@ -146,12 +146,12 @@ class Term(Kept):
             yield
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state that a checkpoint saves."""
+        """Return the term's settings and the state of the term's object, which a checkpoint saves."""
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the state from a checkpoint."""
+        """Restore a manager term's settings, and the state of the term's object, from a checkpoint."""
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()
@@ -160,7 +160,7 @@ class Term(Kept):
 
     @property
     def stateful(self) -> TermBase | None:
-        """The term object, or None for a plain function."""
+        """``stateful`` is the object of a term with a class, and None for a term with a plain function."""
         return self.func if isinstance(self.func, TermBase) else None
 
     def bound(self) -> None:
@@ -180,7 +180,7 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Create the object of the term with the function ``make``.
+        """Call the function ``make``, which creates a term's object, and store this object as the term's ``func``.
 
         With ``keeps_params``, each call of the term object receives the parameters, as in Isaac Lab.
         """
@@ -213,8 +213,8 @@ def bind_terms(
 ) -> dict[str, Term]:
     """Bind every term of a config section, in the order of the config; terms that are null are skipped.
 
-    ``kind`` is a key of ``term_binding.RESERVED``, and ``section`` is a config key such as ``env.rewards``. If
-    ``instantiate`` is False, ``instantiate_term`` makes the term objects later.
+    ``kind`` is the kind of the terms, such as ``rewards``. ``section`` is the config key that contains the terms, such
+    as ``env.rewards``. If ``instantiate`` is False, the caller later calls ``instantiate_term`` for each term.
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
@@ -390,7 +390,7 @@ class ManagerBase(OfEnv, Kept):
                     remembers.reset(env_ids)
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
-        """Return the cells that a printed table of terms has between a term's name and the term's target."""
+        """Return the cells of one term for the ``columns`` that a manager adds to its printed table of terms."""
         del term
         return ()
 

@@ -78,7 +78,7 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
     """Raise SimulationFailure if the event at the config key ``path`` wrote NaN or inf in the environments ``ids``.
 
-    ``asked`` names the quantities, other than states, that the event may have written (see ``Engine.asked``).
+    ``asked`` contains the names of model fields and wrenches that the event at ``path`` may have changed.
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}

@@ -264,7 +264,7 @@ class ObservationManager(Kept):
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
     """Raise ConfigError if the observation histories do not fit into memory.
 
-    The raised ConfigError names the config key ``key``; if ``key`` is empty, the term with the longest history.
+    If ``key`` is empty, the raised ConfigError names the config key of the observation term with the longest history.
     """
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]

@@ -215,7 +215,7 @@ class RecorderManager(ManagerBase):
             self._is_whole[:] = False
 
     def take(self) -> dict[str, Arrays]:
-        """Return the episodes that have ended since the last call of ``take``, by group; a group has arrays by name.
+        """Return a dictionary ``{group: {name: array}}`` of the episodes that ended since the last call of ``take``.
 
         With ``export_mode: all``, the only group of episodes is ``episodes``; otherwise, the groups are ``succeeded``
         and ``failed``. The arrays ``episode/env``, ``episode/length`` (control steps), ``episode/last_step`` (control

@@ -1,7 +1,7 @@
 """Check that the return value of a term has the required form. The error message states which value a term must return.
 
-After the first call of a term, type, shape, and device of the return value are checked. After later calls of a term,
-only the shape of the return value is checked.
+The first return value of each term is checked for its type, shape, and device. From a term's second call on, only the
+shape of the term's return value is checked.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class Form(Protocol):
         """Return whether a fast check shows that the return value ``value`` is valid. If not, ``check`` decides."""
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError without a key if ``value``, which the function named ``source`` returned, is invalid."""
+        """Raise ConfigError if a term's return value is invalid; the message names the function ``source``."""
 
 
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
     """Raise ConfigError with the config key ``path`` unless a term's return value ``value`` has the form ``form``.
 
-    ``source`` describes the function that returned ``value``. The error names the source line of ``code``, the function
-    or object that returned ``value``.
+    ``source`` describes the function that returned ``value``. The raised ConfigError contains the file and line of
+    ``code``, the function or object that returned ``value``.
     """
     try:
         form.check(value, source)

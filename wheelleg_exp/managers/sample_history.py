@@ -1,8 +1,8 @@
 """Store histories of the last observation samples, oldest first, and delay observations.
 
 Each new sample creates a new tensor, so that returned histories never change. The first sample of an episode fills the
-whole history, as in Isaac Lab. ``first`` names the environments where the sample is the first of an episode: ids, a
-mask (N,) bool, or None.
+whole history, as in Isaac Lab. ``first`` selects the environments whose sample is the first of an episode, by indices
+or by a mask (N,); None selects no environment.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class HistoryBuffer:
         return after
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the state that a checkpoint saves."""
+        """Return the samples of a history, which a checkpoint saves."""
         return {"samples": self.samples.clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
@@ -49,7 +49,7 @@ class HistoryBuffer:
 
 
 class RowHistory:
-    """Histories of several terms in one row for each environment: term by term, each oldest first.
+    """Stores the histories of several observation terms in one row per environment: term by term, oldest sample first.
 
     ``widths`` has the number of elements in one sample of each observation term. A history length of 0 or 1 in
     ``lengths`` means that only the newest sample is stored.
@@ -74,7 +74,7 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the histories that ``append`` would return, but store nothing; ``samples`` can lack the last terms."""
+        """Return the histories that ``append`` would return, but store nothing; omit terms without a sample."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:

@@ -1,4 +1,4 @@
-"""Named random streams: each term draws from its own, so adding a term changes no other term's draws."""
+"""Give each term its own random stream, so that adding a term does not change the random numbers of other terms."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Streams(Kept):
         return self._generators[path]
 
     def all(self) -> list[torch.Generator]:
-        """Return the generators of all streams that were requested so far."""
+        """Return all random generators that the method ``get`` has created so far."""
         return list(self._generators.values())
 
     def reseed(self, seed: int) -> None:
@@ -43,12 +43,12 @@ class Streams(Kept):
             generator.manual_seed(stream_seed(seed, path))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state that a checkpoint saves."""
+        """Return the seed and the state of each random generator, which a checkpoint saves."""
         generators = {path: generator.get_state() for path, generator in sorted(self._generators.items())}
         return {"seed": self._seed, "generators": generators}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the state from a checkpoint."""
+        """Restore the seed and the state of each random generator from a checkpoint."""
         self.reseed(saved["seed"])  # random streams that the saved state lacks start from the seed
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)

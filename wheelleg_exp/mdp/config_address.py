@@ -39,7 +39,7 @@ def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address points to a setting of a manager term, which then saves the changed setting."""
+    """Return whether an address points into a manager term; such a term saves its own settings in checkpoints."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 

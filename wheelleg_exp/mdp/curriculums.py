@@ -226,9 +226,9 @@ class command_levels_by_skill(TermBase):
     command range and ``std``, the tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A
     failed episode counts as a full-length episode, with a tracking score of 0 in all steps after the failure. The
     command range of an axis grows by ``step`` on both sides after the tracking skill was at least ``threshold`` in
-    ``passes`` successive evaluations. Evaluations of the tracking skill ignore episodes that started before the last
-    growth of a command range. If an axis's range could grow but has not grown in ``patience`` evaluations, the log
-    value ``<axis>_stuck`` is 1, and training warns.
+    ``passes`` successive evaluations. Episodes that started before the last growth of a command range do not count for
+    the tracking skill S. If a command range below its limit has not grown in ``patience`` evaluations of velocity
+    tracking, training warns and logs 1 as ``<axis>_stuck``.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.

@@ -65,7 +65,8 @@ def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _R
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
     The gradient of this tilt reward, unlike that of a squared error, does not vanish at small tilt angles. A fallen
-    robot loses at most the weight of ``flat_orientation_exp``. Upside-down and upright robots get equal reward values.
+    robot loses at most the weight of ``flat_orientation_exp``. ``flat_orientation_exp`` gives an upside-down robot the
+    same reward as an upright robot.
 
     Args:
         std: sine of the tilt at which 1/e of the reward remains.
@@ -172,7 +173,7 @@ def track_base_height_exp(
 ) -> torch.Tensor:
     """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
 
-    The first component of the command must be the base's height, as in ``UniformBasePoseCommand``.
+    The first component of the command ``command_name`` must be the base's height, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
@@ -182,7 +183,7 @@ def track_base_height_exp(
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
 
-    The components of the command must be the base's height, roll and pitch, as in ``UniformBasePoseCommand``.
+    The command ``command_name`` must consist of the base's height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
     roll, pitch = roll_pitch(env.scene[asset_cfg.name].data)

@@ -77,7 +77,7 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 class stuck(TermBase):
     """End the episode if a robot must drive but moved less than ``distance`` (m) in ``time`` (s). Not in Isaac Lab.
 
-    While the commanded planar speed is at most ``command_threshold``, the term resets its reference position and timer.
+    ``stuck`` restarts its measurement of distance and time at commanded planar speeds up to ``command_threshold``.
 
     Args:
         distance: distance in the plane, m.

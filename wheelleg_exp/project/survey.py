@@ -66,7 +66,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the rotation from the file's root frame to a frame with x forwards and z up at a base pitch of ``lean``.
+    """Return the rotation from the robot file's root frame to axes x forwards and z up, for a base pitch of ``lean``.
 
     If the forward, left, and up directions are nearly parallel to axes of the robot file, the file's axes replace them.
     """

@@ -24,7 +24,7 @@ _WHEEL_EFFORT = 0.25  # The torque of a wheel action of 1 at standstill, as a sh
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
-    """Return the texts of the task file and of the project's term files, by path below ``configs/``."""
+    """Return the YAML texts of a task and its reward, action, observation, and termination terms, by config path."""
     files = {f"task/{name}.yaml": task_yaml(name, robot), f"reward/{name}_upright.yaml": _upright(name, robot)}
     if robot.legs:
         files[f"action/{name}_legs.yaml"] = f"""# Legs: position targets around the default pose.

@@ -48,8 +48,8 @@ class Sample:
         """Start or resume a sample (recorded episodes), of which ``taken`` control steps are already recorded.
 
         After ``enough`` control steps, recording stops at the end of the current episode. If ``enough`` is 0, nothing
-        is recorded. After ``most`` control steps, recording stops within an episode. ``is_in_episode`` is true if the
-        current episode is being recorded.
+        is recorded. After ``most`` control steps, recording stops at once, even in the middle of an episode.
+        ``is_in_episode`` is true if the current episode is being recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0

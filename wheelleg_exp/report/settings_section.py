@@ -72,8 +72,8 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     """Yield those parameters of the run that differ from the task's defaults.
 
     ``default`` is the config of the run's task without overrides. ``again`` is the task's config with the run's
-    overrides, composed anew on this machine. If a value in ``again`` equals the run's value, the value's origin (a
-    file or an override) is taken from ``again``.
+    overrides, composed from scratch on this machine. If a config value of the run has the same value in the newly
+    composed config ``again``, the value's origin (a file or an override) comes from ``again``.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:

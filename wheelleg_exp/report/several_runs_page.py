@@ -1,6 +1,6 @@
 """The page of several runs or of a sweep: the best setting, and how certain that result is.
 
-The page groups runs by their settings, and shows the spread over the training seeds of each group.
+The report page groups runs by their settings, and shows the spread over the training seeds of each group.
 """
 
 from __future__ import annotations
@@ -181,9 +181,9 @@ def course(
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return the iterations that all runs have, and a scalar's means and standard deviations over the runs.
 
-    ``series`` contains the training iterations and the scalar's values of each run. For a single run, the standard
-    deviation is 0. Only iterations that all runs have are used, so that the mean does not jump where one run ends. Long
-    trainings are thinned evenly.
+    For each run, ``series`` contains the training iterations and the values of one logged scalar, such as a reward.
+    With only one run, the scalar's standard deviations over the runs are 0. Only iterations that all runs have are
+    used, so that the mean does not jump where one run ends. Long trainings are thinned evenly.
     """
     runs = [{at: value for at, value in zip(*own, strict=True) if math.isfinite(value)} for own in series]
     runs = [run for run in runs if run]

@@ -48,7 +48,7 @@ def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
 
 
 def picked(count: int) -> slice:
-    """Return a slice that selects evenly spaced points of a curve, with the last point."""
+    """Return a slice that selects evenly spaced points of a curve with ``count`` points, including the last point."""
     every = max(1, -(-count // _POINTS))
     return slice((count - 1) % every, None, every)
 

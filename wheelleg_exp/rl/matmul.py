@@ -78,8 +78,8 @@ def has_units() -> bool:
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
     """Return whether a network layer's matrix products with a batch of ``rows`` depend on the number of threads.
 
-    oneDNN does not promise equal results: with AMX it may split a sum among threads. ``products_depend_on_threads``
-    multiplies random matrices of the layers' sizes with several thread counts, including ``threads``.
+    With AMX, oneDNN may split a sum among threads. For each large linear layer of ``networks``,
+    ``products_depend_on_threads`` multiplies random matrices with 1 to 16 threads and with ``threads`` threads.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]

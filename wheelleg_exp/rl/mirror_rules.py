@@ -156,8 +156,9 @@ _OFFSETS = (
 class TermMirror:
     """Applies mirror rules (how an observation term changes in a mirror image) to observation terms.
 
-    ``joint_images`` are the indices of the joints' mirror images, and ``joint_signs`` are the signs of the joints'
-    motion. ``action`` contains the source index and the sign of each number of a mirrored action vector.
+    ``joint_images`` contains the index of each joint's mirror image. ``joint_signs`` contains -1 for each joint whose
+    position changes its sign in the mirror, otherwise 1. ``action`` contains the source index and the sign of each
+    number of a mirrored action vector.
     """
 
     def __init__(

@@ -18,9 +18,10 @@ class PolicyAverage:
 
     During training, a policy's weights fluctuate around an optimum. The mean of the weights is closer to the optimum
     than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM Journal
-    on Control and Optimization 30, 1992). Policy updates use the current weights of a policy, not their mean. During
-    the first n ``iterations``, the mean m covers the weights w of all iterations; after that, each iteration adds
-    (w - m) / n to m. 0 means no average, and ``is_on`` is False.
+    on Control and Optimization 30, 1992). Training continues with the policy's current weights, not with their mean
+    over iterations. During the first n = ``iterations`` training iterations, m is the mean of the policy weights of all
+    iterations so far. Later, each training iteration with the policy weights w adds (w - m) / n to the mean weights m.
+    ``iterations`` = 0 disables the mean weights.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:

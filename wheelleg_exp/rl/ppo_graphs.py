@@ -212,8 +212,8 @@ class CapturedUpdate:
 class CapturedActing:
     """Draws actions and stores the data for the policy update, as rsl_rl's ``PPO.act`` does.
 
-    The first rollout uses ``PPO.act``. The CUDA graph is captured at the start of the second rollout, and whenever the
-    networks' memory addresses change.
+    The first rollout uses ``PPO.act``. At the start of the second rollout, ``CapturedActing`` captures the actor and
+    the critic as a CUDA graph. New memory addresses of the networks' weights require a new capture.
     """
 
     def __init__(self, algorithm: PPO) -> None:

@@ -39,7 +39,7 @@ class FailureCount:
             self._evidence = self._evidence or found["evidence"]
 
     def require_few(self, when: str) -> None:
-        """Raise SimulationFailure with the most frequent config key if too many episodes had NaN or inf."""
+        """Raise SimulationFailure if too many episodes had NaN or inf; name the config key that failed most often."""
         if self.episodes > self._allowed:
             key, count = self.by_key.most_common(1)[0]
             others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
@@ -93,7 +93,7 @@ class EpisodeLog:
         self._ended.clear()
 
     def collect(self) -> dict[str, float]:
-        """Return the scalars since the last call: means over reset batches, and over the last episodes."""
+        """Return means of the newly logged values, and the mean return and length of the last 100 episodes."""
         self._take_pending()
         scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
         self._values.clear()
@@ -105,7 +105,7 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return rewards and lengths of running and ended episodes, and values logged since the last ``collect``."""
+        """Return the returns and lengths of episodes, and the values that the next call of ``collect`` will average."""
         self._take_pending()
         ended = {"returns": list(self._returns), "lengths": list(self._lengths)}
         values = {key: list(values) for key, values in self._values.items()}
@@ -142,9 +142,9 @@ REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Termin
 class StepMeans:
     """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
-    The managers' logs cover only finished episodes, so robots that fall early weigh more than robots that stand.
-    ``StepMeans`` gives each environment the same weight in each control step. Checkpoints do not contain the sums of
-    ``StepMeans``, because the sums are empty between iterations.
+    The logs of the environment's managers cover only finished episodes, so the logs count robots that fall early more
+    often than robots that stand. ``StepMeans`` gives each environment the same weight in each control step. Checkpoints
+    do not contain the sums of ``StepMeans``, because the sums are empty between iterations.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -153,7 +153,7 @@ class StepMeans:
         self._steps = 0
 
     def take(self) -> None:
-        """Add the rewards, terminations, and command errors of the environment's last step to the sums."""
+        """Add rewards, terminations, and command errors of the last step to the sums of the current iteration."""
         for key, rows in self._rows():
             self._sums[key] = self._sums[key].add_(rows) if key in self._sums else rows.double()
         self._steps += 1

@@ -105,8 +105,8 @@ def replay_environ(
     """Return the environment variables for a process that must compute the same numbers as a recorded run.
 
     Environment variables that change computed numbers, and those in ``also``, get the values recorded with the run. The
-    returned environment lacks variables that change computed numbers and that the recorded run did not have.
-    Environment variables for paths, devices, and preloaded libraries keep their present values.
+    returned environment lacks variables that change computed numbers and that the recorded run did not have. Variables
+    for paths, devices, and preloaded libraries get the values of the present process, not of the recorded run.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}

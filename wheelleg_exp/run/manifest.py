@@ -45,8 +45,8 @@ class Optional:
 def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
     """Yield the key ``path``, or the keys below ``path``, whose values have the wrong type.
 
-    A kind is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
-    kinds. A key for which no type is given can have any value.
+    ``kind`` is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
+    kinds. Keys of ``value`` that a mapping ``kind`` lacks can have values of any type.
     """
     if isinstance(kind, Optional):
         if value is not None:

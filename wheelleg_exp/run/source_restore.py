@@ -91,11 +91,12 @@ def restore_source(
 ) -> str:
     """Restore the source tree recorded with a run into the new folder ``destination``, and return its git tree id.
 
-    ``repository`` is a git clone that contains the recorded commit; by default, it is the recorded folder. The clone is
-    only read. ``which`` is 0 for the main repository of the run, and 1 for the first additional repository.
-    ``destination`` becomes a separate git repository that reads the git objects of ``repository``. If the restored and
-    the recorded source files differ, ``destination`` is deleted and an error is raised. No file outside ``destination``
-    is written, even if the recorded patch contains paths outside ``destination``. A full disk raises SimulationFailure.
+    ``repository`` is a git clone that contains the commit of the run's source code. The default clone is the folder in
+    which the run found its source code. ``restore_source`` only reads the clone. ``which`` is 0 for the main repository
+    of the run, and 1 for the first additional repository. ``destination`` becomes a separate git repository that reads
+    the git objects of ``repository``. If the restored and the recorded source files differ, ``destination`` is deleted
+    and an error is raised. No file outside ``destination`` is written, even if the recorded patch contains paths
+    outside ``destination``. A full disk raises SimulationFailure.
     """
     record = source_records(directory)[which]
     if record["patch"] is None:

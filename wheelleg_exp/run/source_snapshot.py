@@ -76,9 +76,9 @@ def snapshot_source(
 
     ``roots`` contains source folders and single source files; the first is the folder of ``wheelleg_exp``. ``git.json``
     has one record for each git repository that contains source folders. Untracked files in ``runs_root``, the folder of
-    all runs, are not stored. ``max_patch_mb`` is the largest allowed size of each patch, and of all untracked files
-    together, in megabytes (10^6 bytes). If a git command fails, the run continues, and ``git.json`` contains a status
-    and a note about the failure.
+    all runs, are not stored. ``max_patch_mb`` limits the size of a repository's patch (its uncommitted changes), and
+    the total size of its untracked files, in megabytes (10^6 bytes). If a git command fails, the run continues, and
+    ``git.json`` contains a status and a note about the failure.
     """
     records: list[dict[str, Any]] = []
     for place in _group(roots):

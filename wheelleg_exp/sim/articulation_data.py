@@ -34,8 +34,9 @@ class ArticulationData(RobotData):
 
     The suffix ``_w`` of an attribute name means world axes, and the suffix ``_b`` means the axes of a link.
     Velocities refer to centres of mass of bodies, unless the attribute name contains ``link``. Poses refer to link
-    frames, unless the name contains ``com``. Quaternions are (w, x, y, z). A pose is a position, m, and a quaternion. A
-    velocity is linear, m/s, and angular, rad/s. A state is a pose and a velocity. CoM means centre of mass.
+    frames, unless the attribute name contains ``com``. A pose is a position, m, and a quaternion (w, x, y, z). A
+    velocity consists of a linear velocity, m/s, and an angular velocity, rad/s. A state is a pose and a velocity. CoM
+    means centre of mass.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).

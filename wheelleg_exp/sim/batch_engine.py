@@ -1,4 +1,4 @@
-"""The engine ``mujoco``, which simulates on the CPU, in float64, with MuJoCo's batch of simulations."""
+"""The physics engine ``mujoco`` runs many simulations in parallel on the CPU, in float64, with ``mujoco.batch``."""
 
 from __future__ import annotations
 

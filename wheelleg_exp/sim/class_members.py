@@ -37,7 +37,7 @@ def joined(first: str, second: str, doc: str) -> property:
 
 
 def alias_of(name: str, doc: str | None = None) -> property:
-    """Make a read-only property that returns an attribute of a member, such as ``layout.joint_names``."""
+    """Return a read-only property that is an alias of an object's nested attribute, such as ``layout.joint_names``."""
     return property(attrgetter(name), doc=doc or f"Same as ``{name}``.")
 
 

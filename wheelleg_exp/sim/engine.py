@@ -31,7 +31,7 @@ class Engine(Kept, ABC):
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: names of the model fields, and ``WRENCHES``, that terms have obtained from the engine and may have
-            changed. The event manager empties ``asked``, the set of obtained model fields, after each event term.
+            changed. After each call of an event term, the event manager clears the set ``asked`` of model field names.
     """
 
     name: ClassVar[str]
@@ -107,8 +107,8 @@ class Engine(Kept, ABC):
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        ``reset`` replaces positions and velocities that are NaN or inf by the model's defaults. ``reset`` does not
-        change valid positions and velocities.
+        ``reset`` replaces positions and velocities that are NaN or inf by the model's defaults, but does not change
+        finite positions and velocities.
         """
 
     @abstractmethod

@@ -152,7 +152,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
 
     The root link's frame must be rotated if its x axis is not forwards or its z axis is not upwards. After
     ``turn_root_frame``, observations, rewards, commands and ``env.robot.init_state.rot`` refer to the new root frame.
-    ``frame`` (w, x, y, z) is the orientation of the new frame relative to the root link's frame in the MJCF file.
+    The quaternion ``frame`` (w, x, y, z) rotates the root link's frame of the MJCF file to the new root frame.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)

@@ -144,7 +144,7 @@ class Scene(Kept):
 
     @property
     def rigid_objects(self) -> dict[str, Any]:
-        """An empty dictionary, because the robot is the only moving body of the scene."""
+        """An empty dictionary of rigid objects, because the robot is the only moving body of the scene."""
         return {}
 
     @property

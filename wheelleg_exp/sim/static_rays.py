@@ -42,8 +42,8 @@ class GeomBoxes:
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Clip rays to the box around all geoms; return the lower and upper corners (n, R, 3) of a box around each ray.
 
-        The rays are clipped by the slab method (Kay and Kajiya 1986). A ray that misses the box around all
-        geoms gets an empty box, whose lower corner is inf and whose upper corner is -inf.
+        The slab method (Kay and Kajiya 1986) clips each ray to the bounding box of all geoms. A ray that misses the
+        bounding box of all geoms gets an empty box, whose lower corner is inf and whose upper corner is -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)

@@ -1,7 +1,7 @@
 """Check on the host, without waiting for the GPU, whether countdown timers on a GPU may have expired.
 
-The smallest remaining time of all timers is copied from the GPU to the host asynchronously every few steps. Until
-the copied smallest remaining time has passed, no timer on the GPU can have expired.
+The smallest remaining time of all timers is copied from the GPU to the host asynchronously every few steps. No timer
+on the GPU can expire before the smallest remaining time of all timers has passed.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ _SLACK = 1e-3  # s
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
     """Return False if none of the ``timers`` on a GPU can have expired; always return True for timers on a CPU.
 
-    Call ``may_be_due`` once per control step. ``timers`` are the remaining times, s, (n,), and ``dt`` is the time since
-    the last call, s. After code has set a timer to less than ``least`` seconds, the code must call ``forget``.
+    ``timers`` are the remaining times, s, (n,). Each call of ``may_be_due`` subtracts ``dt``, the time since the last
+    call, s, from a copied remaining time. Expired timers restart with at least ``least`` seconds. Code that sets a
+    timer to less than ``least`` seconds must call ``forget``, which discards the remaining times copied from the GPU.
     """
     if not timers.is_cuda:
         return True
@@ -32,7 +33,7 @@ def forget() -> None:
 
 
 class _Bound:
-    """A lower bound, s, of the time until the first timer on a GPU expires, computed from the last copy to the host."""
+    """A lower bound, s, of the smallest remaining time of timers on a GPU, known without waiting for the GPU."""
 
     def __init__(self) -> None:
         self._bound = float("-inf")

@@ -62,7 +62,7 @@ class Slot:
 
     @property
     def container(self) -> Any:
-        """The dictionary or list that directly contains the entry at ``path``; ``MISSING`` if it no longer exists."""
+        """The dictionary or list that directly contains the entry at ``path``; ``MISSING`` if no such object exists."""
         found: Any = vars(self.owner)
         for key in self.path[:-1]:
             found = entry(found, key)

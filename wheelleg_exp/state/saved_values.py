@@ -152,7 +152,7 @@ def _is_wiring(item: Any) -> bool:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two trees from ``snapshot`` are bit-identical, including NaN."""
+    """Return whether two saved values (trees of tensors and plain values) are bit-identical; NaN equals its copy."""
     if type(a) is not type(b):
         return False
     if isinstance(a, torch.Tensor):
@@ -208,9 +208,10 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
     """Convert a result of ``snapshot`` to a value that a checkpoint can store.
 
-    ``before`` is the snapshot of the same attribute after the construction of its object. Loading a checkpoint writes
-    into a new object that was constructed from the same config. Unsaveable is raised for references, such as
-    functions, that changed after construction, and for generators or networks that were added after construction.
+    ``before`` is the snapshot of an object's attribute right after the object's construction, and ``item`` is a later
+    snapshot. Loading a checkpoint writes into a new object that was constructed from the same config. Unsaveable is
+    raised for references, such as functions, that changed after the object's construction, and for generators or
+    networks that were added after the object's construction.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")

@@ -12,7 +12,7 @@ import torch
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
     """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
 
-    Only tensors (N, ...) have one row per environment; all other values are taken from the state dict ``after``.
+    Only tensors (N, ...) with one row per environment are merged; all other values come from the state dict ``after``.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}

@@ -217,7 +217,7 @@ def _share(a: Any, b: Any) -> bool:
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return a NumPy array with a tensor's memory addresses; do not read the array, which can be in GPU memory."""
+    """Return a NumPy view of a tensor for comparing addresses; its values are unreadable if the tensor is on a GPU."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 

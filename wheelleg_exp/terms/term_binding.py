@@ -259,7 +259,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class whose signature lists the parameters that a config can set.
 
     For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or, without ``__call__``, the class
-    in the annotation of ``cfg``. A function, or a class with another constructor, is returned unchanged.
+    in the annotation of ``cfg``. Return a function, or a class without a constructor ``(cfg, env)``, unchanged.
     """
     if not takes_cfg(target):
         return target

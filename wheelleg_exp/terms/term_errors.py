@@ -126,8 +126,8 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of the parameters of a function or class, including constraints.
 
-    The result omits annotations whose class is imported only under ``TYPE_CHECKING``, such as the environment's
-    annotation in terms that were written for Isaac Lab.
+    ``type_hints`` omits annotations whose class is imported only under ``TYPE_CHECKING``, such as the annotation of
+    ``env`` in terms that were written for Isaac Lab.
     """
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -174,9 +174,9 @@ def failure(
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    The user's Ctrl-C, and a WheellegError that is not a ConfigError, are returned unchanged. ``has_worked`` is true if
-    an earlier call of the term succeeded; the returned error is then a SimulationFailure. ``what`` names the failed
-    function or class in the error message.
+    The user's Ctrl-C, and a WheellegError that is not a ConfigError, are returned unchanged. ``failure`` makes a
+    SimulationFailure if an earlier call of the term succeeded (``has_worked``), else a ConfigError. ``what`` names the
+    failed function or class in the error message.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)

@@ -78,7 +78,7 @@ def _is_interpolated(tree: Any, keys: Keys) -> bool:
 
 
 def source(subject: Subject) -> Check:
-    """Compare ``source/git.json`` with the manifest, and the patch files with ``source/git.json``."""
+    """Check a run's ``source/git.json`` against ``manifest.json``, and its git patches against ``source/git.json``."""
     if not subject.has_snapshot:
         return Check("source", "", skipped="the run stopped while its snapshot was written")
     folder, where = subject.run.source, f"source/{RECORD_NAME}"

@@ -99,7 +99,7 @@ def divergence_lines(first: Divergence) -> list[str]:
 
 
 def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
-    """Yield lines about different environments of two runs, and about different settings that change no number."""
+    """Yield lines about two runs' different code, hardware, and versions, and about settings that change no result."""
     harmless = [change for change in settings if not decides(change.keys)]
     if not (found or harmless):
         yield from ("", "environment: no recorded fact differs")

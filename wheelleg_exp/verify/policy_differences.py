@@ -1,6 +1,7 @@
 """Compare checkpoints tensor by tensor, and exported policies by their weights, code, and graphs.
 
-At most two checkpoints, those of one iteration, are in memory at a time. Exported policies are never run.
+To save memory, only two checkpoints are loaded at a time: the checkpoints of both compared runs at one iteration.
+Exported policies are compared without running them.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def compare_runs(
 
     If the number ``iterations`` is given, only the iterations below this number are compared. If ``common`` is true,
     only the iterations that both training runs have are compared. A run that has not ended is compared up to its last
-    iteration. Without ``iterations`` and ``common``, two runs with unequal numbers of iterations are different.
+    iteration. By default, two ended training runs with unequal numbers of iterations count as different.
     """
     if a.path == b.path:
         raise RunDirectoryError(f"both runs are the run '{a.id}'", expected="two runs, or one run to check by itself")

@@ -1,9 +1,9 @@
 """List the differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
 
-A difference *allows* other numbers if it is known to change the order or the kind of floating-point operations, and
-nothing else: another CPU, other vector instructions, another build of the libraries that compute. A different setting
-or number of physics threads does not excuse unequal numbers. Different code *forbids* a comparison within tolerance,
-because no test separates effects of code from rounding.
+A difference between two runs *allows* unequal numbers if it changes only the order or kind of floating-point
+operations. For example, another CPU or another version of PyTorch allows unequal numbers. A difference in settings or
+in the number of physics threads does not allow unequal training results. Different code *forbids* a comparison within
+tolerance, because no test separates effects of code from rounding.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
 
 
 def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
-    """Return the values that differ bit for bit between two nested mappings, and changes in the order of terms."""
+    """Return how two nested mappings differ: in values, compared bit for bit, and in the order of inner mappings."""
     return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
 
 
@@ -166,7 +166,7 @@ class FactDifference:
 def environment_differences(
     a: Mapping[str, Any], b: Mapping[str, Any], unknown: Collection[str] = ()
 ) -> list[FactDifference]:
-    """Return how two run manifests, or parts of manifests, differ in versions, hardware, threads, and variables.
+    """Return how two runs' manifests differ in versions, hardware, threads, and environment variables.
 
     A section that only one of the two manifests has is skipped. Manifest entries whose names are in ``unknown``, such
     as ``torch_cpu_capability``, are not compared.

@@ -1,8 +1,8 @@
 """Decide whether rounding alone can explain why two training runs have unequal numbers.
 
-A training amplifies even a difference in the last digit of a number. Two runs of the stock task with different matrix
-kernels agree to 1e-6 for about four iterations; after eight iterations, only the runs' statistics agree. Two runs are
-within tolerance if they pass two tests:
+A training amplifies even a difference in the last digit of a number. In a test, two runs with different matrix kernels
+agreed to 1e-6 for about four iterations; after eight iterations, only the runs' statistics agreed. Two runs are within
+tolerance if they pass two tests:
 
 - Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
   so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, the scalars of

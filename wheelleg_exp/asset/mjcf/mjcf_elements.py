@@ -132,7 +132,7 @@ def drive(of: Drive) -> Attributes:
 
 
 def actuator(item: Actuator) -> Attributes:
-    """Return a general actuator's MJCF attributes except ``refsite`` and ``slidersite``, which belong to the target."""
+    """Return a general actuator's MJCF attributes, except the site names ``refsite`` and ``slidersite``."""
     return {key: value for key, value in item.extra.items() if key not in ("refsite", "slidersite")}
 
 

@@ -121,7 +121,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _is_calm(model: mujoco.MjModel, step: float) -> bool:
-    """Return whether simulations from the start pose and from the last keyframe are stable with the time step."""
+    """Return whether a model's simulations from qpos0 and its last keyframe are stable with the time step ``step``."""
     model.opt.timestep = step
     gravity = float(np.linalg.norm(model.opt.gravity))
     bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))

@@ -117,7 +117,7 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why the MJCF omits a USD API schema; None if the schema has no physics or its attributes are reported."""
+    """Return why the conversion to MJCF drops a USD API schema; None if the conversion report omits the schema."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]
@@ -126,7 +126,7 @@ def why_schema(name: str) -> Reason | None:
 
 @functools.cache
 def why_kind(name: str) -> Reason | None:
-    """Return why the MJCF omits a USD prim type; None for a type without physics."""
+    """Return why the conversion to MJCF drops a USD prim type; None for a prim type without physics."""
     return next((reason for pattern, reason in _KINDS if re.fullmatch(pattern, name)), None)
 
 

@@ -225,7 +225,7 @@ class Ledger:
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
-        """Return whether an assumption of the given rule is recorded for a USD path."""
+        """Return whether the converter has recorded an assumption with the text ``rule`` about a USD path."""
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:

@@ -185,7 +185,7 @@ COMPILER = {  # reasons for omitting settings
 
 
 def with_options(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with the physics scene's options, flags, and compiler settings applied."""
+    """Return the robot description with the MuJoCo options and flags that the USD physics scene sets."""
     scene = find_scene(stage)
     if scene is None:
         return robot

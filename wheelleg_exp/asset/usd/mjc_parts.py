@@ -1,7 +1,7 @@
 """Read actuators, tendons, and keyframes of MuJoCo's USD schemas, with their attributes in MJCF's types.
 
-The module reads only authored USD values. If a USD file has only one end of a range, the other end of the range is 0. A
-keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
+``mjc_parts`` ignores the default values of USD schemas. If a USD file has only one end of a range, the other end is 0.
+A keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
 """
 
 from __future__ import annotations
@@ -298,7 +298,7 @@ WRAPPED = {"sphere", "cylinder"}
 
 
 def with_wraps(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with an added geom for each USD shape on a tendon's path that has no geom."""
+    """Add a geom for each sphere or cylinder that a tendon wraps around, unless the robot already has this geom."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
     found: dict[str, Usd.Prim] = {}
     for tendon in tendon_prims(stage):

@@ -142,7 +142,7 @@ class _Rules:
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
         """Return a class number for each shape; the same collision rules apply to all shapes of one class number.
 
-        No collision rule applies to a shape with the class number 0.
+        A shape gets the class number 0 if no collision rule forbids any contact of this shape.
         """
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
@@ -269,9 +269,9 @@ GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:inv
 def _body_pairs(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return the body pairs without any contact, and the body pairs of which only some shapes never touch.
+    """Return the body pairs without any allowed contact, and the body pairs with both allowed and forbidden contacts.
 
-    To save time, the function compares sets of bodies whose shapes have the same collision rules, not single bodies.
+    To save time, ``_body_pairs`` compares sets of bodies whose shapes have the same collision rules, not single bodies.
     """
     if not forbidden:
         return [], []

@@ -22,8 +22,8 @@ from wheelleg_exp.errors import printable
 class LastingStream:
     """A text stream to a pipe that ignores writes after the reading process has closed the pipe.
 
-    ``losses`` contains the exception types that a write to the stream raises after the reader has closed the pipe. A
-    ``styled`` stream writes escape sequences unchanged; a plain stream writes control characters as readable text.
+    ``losses`` contains exception types that ``write`` ignores, such as BrokenPipeError from a closed pipe. A ``styled``
+    stream writes escape sequences unchanged; a plain stream writes control characters as readable text.
     """
 
     def __init__(self, stream: Any, *losses: type[OSError], styled: bool = False) -> None:

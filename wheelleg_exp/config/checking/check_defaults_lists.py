@@ -26,8 +26,8 @@ class MountedFile:
     """A config file, and the key of the config tree at which Hydra puts the file's content.
 
     ``config_path`` is the name that Hydra gives to the config file, such as ``reward/alive``. ``package`` is the key
-    below which Hydra puts the content of the config file; an empty key is the top of the tree. ``parent`` is the config
-    file whose defaults list selects this file.
+    below which Hydra puts the content of the config file; an empty key is the top of the tree. ``parent`` names the
+    config file whose defaults list contains ``config_path``.
     """
 
     config_path: str
@@ -38,12 +38,12 @@ class MountedFile:
 
     @property
     def group(self) -> str:
-        """The config group of the config file, such as ``reward``."""
+        """Return the config group of a config file, such as ``reward`` for the file ``reward/alive.yaml``."""
         return self.config_path.rpartition("/")[0]
 
     @property
     def name(self) -> str:
-        """The name of the config file without ``.yaml``, such as ``alive``, which is an option of a config group."""
+        """Return the name of a config file without ``.yaml``, such as ``alive`` for the file ``reward/alive.yaml``."""
         return self.config_path.rpartition("/")[2]
 
 

@@ -97,8 +97,8 @@ class TolerantLoader(Loader):
 def check(composed: Composed) -> list[ConfigError]:
     """Return every mistake in a composed config that can be found without a simulation.
 
-    The function checks keys, value types and ranges, terms, the agent's classes, joint and body names, and config
-    files. Each returned error contains the file and line, or the override, of the wrong value.
+    ``check`` validates config keys, value types and ranges, manager terms, classes in the agent config, joint and body
+    names, and config files. Each returned error contains the file and line, or the override, of the wrong value.
     """
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
@@ -157,7 +157,7 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
     """Return whether an error can be a consequence of ``lost``, the config keys whose content is unknown.
 
     An entry of ``lost`` with a leading dot, such as ``.alive``, matches a key ``alive`` at any depth of the config.
-    If ``lost`` contains an empty string, the function returns true for each error about an override of a missing key.
+    If every config key can be unknown (``"" in lost``), ``follows_from`` returns True for each AbsentKey error.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -299,7 +299,7 @@ class _Search:
         return True
 
     def _places(self, path: str) -> list[str]:
-        """Return the keys that a dropped config file would have set. The returned key "" means every config key."""
+        """Return the keys that a missing or invalid config file would set; an empty string means every key."""
         group, _, name = path.rpartition("/")
         if self.loader is None:
             return [""]
@@ -330,8 +330,8 @@ def find_mistakes(
 ) -> tuple[Composed | None, list[ConfigError]]:
     """Compose and check a config, and return the config (None if Hydra cannot compose it) and all mistakes.
 
-    An override or file that stops Hydra is dropped, and the remaining config is checked. The returned mistakes include
-    no consequences of a dropped override or file.
+    ``find_mistakes`` ignores overrides and files that Hydra cannot compose, and checks the remaining config. Mistakes
+    that exist only because ``find_mistakes`` ignored an override or a config file are not returned.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()

@@ -244,8 +244,8 @@ _ANOTHER_VALUE = "another value"
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    An override cannot select an option of a config group, because no config files are read. Null terms are removed.
-    An override of a missing key or of one of Hydra's own settings raises ConfigError.
+    An override cannot select an option of a config group, because ``apply_overrides`` reads no config files. Null terms
+    are removed. An override of a missing key or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
@@ -276,8 +276,8 @@ def require_read(
 
     ``read`` is a function that returns those values of a config tree that the calling command uses. An override of a
     config key that the calling command uses is valid, even if the override repeats the key's old value. ``instead``
-    maps a config key to the advice in the error for an override at or below the key. ``instead[""]`` is the advice for
-    a config key without its own entry in ``instead``.
+    maps a config key to the alternative that the error suggests for an override at or below this key. The error
+    suggests ``instead[""]`` if ``instead`` has no entry for the overridden config key.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -301,7 +301,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Name the override of an invalid config key in each ConfigError from the ``with`` block that names no file yet."""
+    """If a ConfigError in the ``with`` block names no file or override, add the override that set the invalid key."""
     try:
         yield
     except ConfigError as error:

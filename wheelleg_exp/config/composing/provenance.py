@@ -1,7 +1,7 @@
 """Find the file or override that set each value and selected each config group of a composed config.
 
-The source of a config value is a file and line, or an override. The class ``Source`` also lists the earlier files and
-overrides whose values were replaced.
+The source of a config value is a file and line, or an override. If several files or overrides set one config value,
+the attribute ``Source.shadowed`` lists all of them except the last.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put the new source of a config value where its first replaced source was, so that terms keep their order."""
+        """Put the new source at the dictionary position of the first replaced source, to preserve the terms' order."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -205,7 +205,7 @@ def _with_element(node: Any, keys: Keys, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Choice:
-    """A selection of options of a config group; ``where`` is the override, or the file and line, with the selection."""
+    """A selection of a config group's options; ``where`` names the override or the line of a file that selects them."""
 
     value: Any
     where: str

@@ -1,8 +1,8 @@
 """List the values that a config key accepts, for ``wheelleg explain`` and for shell completion.
 
-The module ``alternatives`` does not import torch, because shell completion must be fast. A candidate of the shell
-completion is a whole command-line argument. After a completed word that ends in ``.``, ``=``, ``,``, or ``[``, the user
-continues to type.
+The module ``alternatives`` does not import torch, because shell completion must be fast. A shell completion replaces
+the whole command-line argument. A completion that ends in ``.``, ``=``, ``,``, or ``[`` is only the beginning of a
+command-line argument, which the user must continue.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ _MOST_VIEWS = 32  # The largest number of cached composed configs.
 class CompletionView:
     """The parts of a composed config that shell completion needs.
 
-    ``mounts`` maps each config group in use, such as ``reward@env.rewards``, to True if it accepts a list of options.
+    ``mounts[name]`` is True if the config group ``name``, such as ``reward@env.rewards``, accepts a list of options.
     """
 
     tree: dict[str, Any]
@@ -223,7 +223,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the config keys that start with ``text``; without ``removable``, the keys end with ``.`` or ``=``."""
+    """Return config keys that start with ``text``; unless ``removable`` is true, append ``.`` or ``=`` to each key."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []

@@ -39,7 +39,7 @@ LIBRARY = "wheelleg_exp.mdp"
 
 @dataclass(frozen=True)
 class LibraryTerm:
-    """A stock term that a config can select.
+    """A reward function, an event, or another manager term from ``wheelleg_exp.mdp`` that a config can use.
 
     ``help`` is the first line of the term's docstring. ``limits`` contains types and bounds of parameters as text.
     """

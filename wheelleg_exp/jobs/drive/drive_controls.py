@@ -39,7 +39,7 @@ class Axis:
         return 0.0 if self.low <= 0.0 <= self.high else 0.5 * (self.low + self.high)
 
     def at(self, share: float) -> float:
-        """Return the command at a share of the way from the rest value to ``high`` (share 1) or ``low`` (share -1)."""
+        """Map a user input to a command: -1 to the smallest, 0 to the neutral, and 1 to the largest command."""
         share = min(max(share, -1.0), 1.0)
         end = self.high if share > 0.0 else self.low
         return self.rest + abs(share) * (end - self.rest)

@@ -190,7 +190,7 @@ class DriveLog:
         self._entries.append((step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}))
 
     def script(self, steps: int) -> list[dict[str, Any]]:
-        """Return the entries of a drive script that repeats the ``steps`` recorded control steps."""
+        """Return the recorded commands, pushes, and resets of ``steps`` control steps as timed YAML entries."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
         entries[-1]["for"] = round(self._time(steps) - self._time(self._entries[-1][0] if self._entries else 0), 6)
         return entries

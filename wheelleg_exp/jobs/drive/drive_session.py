@@ -51,7 +51,7 @@ class DriveMeter:
         return sum(self._ended.values())
 
     def observe(self, commanded: Mapping[str, float]) -> None:
-        """Update the metrics for the last control step; ``commanded`` are the commands in this step."""
+        """Update driving metrics, such as the distance; ``commanded`` are the commands of the last control step."""
         place = self._env.scene.robot.data.root_pos_w[0, :2].clone()
         if self._place is not None:
             self._distance += float(torch.linalg.vector_norm(place - self._place))

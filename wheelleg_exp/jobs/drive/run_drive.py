@@ -37,16 +37,16 @@ _DISTURBANCES = ("interval", "step")  # The modes of event terms that act during
 
 
 def scenes() -> list[str]:
-    """Return the names of the grounds for driving: ``own`` (the training's ground) and all configs in ``scene/``."""
+    """Return ``own``, which selects the training's ground, and the name of each scene config with another ground."""
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
-    The returned config has one robot, episodes of ``drive.episode_length_s`` seconds, and no curriculum. Events, such
-    as pushes, happen only at startup and reset. Command terms use no heading control, and no random zero commands.
-    ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
+    ``drivable`` sets one environment and episodes of ``drive.episode_length_s`` seconds, and removes the curriculum.
+    Events, such as pushes, happen only at startup and reset. Command terms use no heading control, and no random zero
+    commands. ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -108,7 +108,7 @@ class DriveView(Protocol):
     """A view that shows the driven robot to the user, and receives the user's requests."""
 
     def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show a session's robot to the user, and return the URL; ``push`` is the speed that a push adds, m/s."""
+        """Show the simulated robot to the user, and return the view's URL; a push adds the speed ``push``, m/s."""
 
     def show(self, status: Status) -> None:
         """Show the state of the driven robot."""
@@ -137,10 +137,10 @@ class DriveRequest:
 
 
 def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
-    """Drive the robot until the user finishes. A new drive starts if the user chooses a new checkpoint or ground.
+    """Simulate the driven robot until the user finishes; restart if the user chooses another checkpoint or ground.
 
-    Without ``view``, a drive script is required, and the simulation runs as fast as possible. With ``view``, the
-    drive script runs first, in real time, and then the user takes control.
+    Without ``view``, the YAML file ``request.script`` must list timed commands, which are simulated as fast as
+    possible. With ``view``, the commands of ``request.script`` are applied in real time before the user takes control.
     """
     drives: list[Drive] = []
     choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)

@@ -1,5 +1,5 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
-``export_bundle`` is the job. The package ``bundle`` contains the Python programs that are copied into each bundle (an
-exported policy). The modules outside of ``bundle`` write the files of a bundle and check its policies.
+``export_bundle`` is the job. The package ``bundle`` contains the Python programs that are copied into each exported
+folder.
 """

@@ -1,8 +1,8 @@
 """Write ``policy.h``: the policy as one C99 header, from sensor readings to joint targets.
 
 The header is generated from ``policy.json`` and the network's arrays: fixed numbers become constants, and memory
-becomes a struct. In the generated C lines, ``r`` contains the sensor readings, ``s`` the policy's state, and ``v`` the
-sample of an observation term.
+becomes a struct. In the C code of ``policy.h``, ``r`` points to the sensor readings, ``s`` to the policy's state, and
+``v`` to an observation term's value.
 """
 
 from __future__ import annotations

@@ -94,8 +94,9 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
 def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model with the content of ``policy.json`` as metadata.
 
-    The metadata contain lists as values joined by commas, as in mjlab's exports. ``action_scale`` and
-    ``action_offset``, in the order of ``action_joint_names``, exist if every action term has a scale and an offset.
+    In the ONNX metadata, a list such as ``joint_names`` is one string of comma-separated values, as in mjlab's exports.
+    ``action_scale`` and ``action_offset``, in the order of ``action_joint_names``, exist if every action term has a
+    scale and an offset.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
@@ -178,7 +179,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Write the exported files; return each policy file's difference from the training's actions, and notes."""
+    """Export the policy; return each file's action error against the trained policy, and a text per missing part."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)

@@ -90,5 +90,5 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
 
 
 def streak(verdicts: list[bool]) -> int:
-    """Return how many evaluations of a phase have passed since the phase's last failed evaluation."""
+    """Return how many times in a row, up to the last evaluation, a training phase's policy passed its evaluation."""
     return len(list(takewhile(bool, reversed(verdicts))))

@@ -70,8 +70,8 @@ def compose_phases(
 ) -> dict[str, Composed]:
     """Check the config of every phase, and check that each phase can start with the policy of the phase before it.
 
-    ConfigError lists the mistakes in the configs of all phases, each with the phase's name. A config mistake that all
-    phases of the pipeline share is reported only once.
+    ConfigError lists the mistakes in the configs of all phases, each with the phase's name. If the same config mistake
+    occurs in all training phases of a pipeline, ConfigError lists the mistake only once.
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
@@ -154,7 +154,7 @@ def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
 
 
 def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
-    """Return ``error`` as an error of the key ``key``; unless ``blamed`` is None, its message names ``error.key``."""
+    """Return a copy of ``error`` with the key ``key``; with ``blamed``, the copy's message contains the old key."""
     message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
     return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 

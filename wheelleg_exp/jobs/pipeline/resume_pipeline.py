@@ -28,8 +28,8 @@ def resume_pipeline(
     """Check that a pipeline can be resumed, and return the settings of the pipeline.
 
     ``overrides`` change phases of the pipeline, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs``
-    is empty, the pipeline's recorded config folders are used. If the pipeline is running or finished, or if an override
-    is wrong, the pipeline's record remains unchanged.
+    is empty, the pipeline's recorded config folders are used. If the pipeline is running or finished, or an override is
+    invalid, ``resume_pipeline`` raises an error and writes nothing.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
         message = "this pipeline is still running"

@@ -1,6 +1,6 @@
 """Train each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record.
 
-Before the first phase starts, ``require_metrics`` checks the evaluations of all phases.
+Before any training, ``require_metrics`` checks that evaluations compute all metrics for which the config sets bounds.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class PipelineRunner:
         return None if passed else why
 
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
-        """Return the training iteration after which the phase's policy is evaluated next."""
+        """Return the iteration count at which the training of ``phase`` pauses for an evaluation or ends."""
         every = phase.gate.every if phase.gate is not None else None
         if not every:
             return phase.max_iterations

@@ -40,7 +40,7 @@ class RestoredFinder:
 
 
 def main() -> int:
-    """Let Python find the restored packages, and run the training."""
+    """Train a run again with packages that Python imports from the restored copy of the run's source code."""
     places = json.loads(sys.argv.pop())
     sys.meta_path.insert(0, RestoredFinder(places))
     own = Path(places[_OWN]) / _OWN

@@ -77,7 +77,7 @@ class ReplayDisplay(PipeDisplay):
         self._pipe.send(event, **facts)
 
     def note(self, text: str) -> None:
-        """Send a note to the parent process, except for notes about the git working tree, which a replay ignores."""
+        """Send a message for the user to the parent process; if ``warnings_only`` is true, send only warnings."""
         if not self.warnings_only or text.startswith("warning"):
             super().note(text)
 

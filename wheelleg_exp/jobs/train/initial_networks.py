@@ -1,7 +1,7 @@
 """Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
 
 A run directory stores a copy of its initial networks, so that the run can be reproduced without the run that trained
-these networks. ``fit`` compares the observations, actions, and network sizes of the earlier and the new training.
+these networks. ``fit`` compares the observations, actions, and network sizes of a saved policy and of a new training.
 """
 
 from __future__ import annotations
@@ -46,10 +46,11 @@ class Fit:
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the settings of a policy's earlier training with the settings of a new training.
 
-    ``was`` and ``now`` are the config sections ``env`` and ``agent`` of the earlier and of the new training. ``roles``
-    names the networks to copy. Error messages and notes use ``of`` as the name of the earlier training. Only a built
-    environment shows whether a changed parameter, such as a list of joints, changes an observation term's width. A
-    changed parameter of an observation term is reported as a note, not as a mistake.
+    ``was`` and ``now`` are the sections ``env`` and ``agent`` of the saved policy's config and of the new config.
+    ``roles`` names the networks to copy. Error messages use ``of`` as the name of the training that produced the saved
+    policy. Only a built environment shows whether a changed parameter, such as a list of joints, changes an observation
+    term's width. If a parameter of an observation function differs from the saved policy's config, ``fit`` reports a
+    note, not a mistake.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -147,9 +148,9 @@ class _Source:
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
     """Yield a dict with the file of the initial networks, and a dict with the id and task of the networks' run.
 
-    The file of the initial networks does not name the earlier run, so that equal networks have equal files. ``note``
-    receives texts about observations that differ between the earlier and the new training. ConfigError means that the
-    earlier run's checkpoint is missing or damaged, or does not fit the new training.
+    The file of the initial networks does not name the run that trained them, so that equal networks have equal files.
+    ``note`` receives a text about each tolerated difference between ``config`` and the initial networks' training
+    config. ConfigError means that the checkpoint in ``init_from`` is missing, is damaged, or does not fit ``config``.
     """
     if config.get(KEY) is None:
         yield {}, {}

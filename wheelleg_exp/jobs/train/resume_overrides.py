@@ -126,7 +126,7 @@ def _refusal(change: Change, why: str) -> ConfigError:
 def rewritten_files(
     run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
-    """Return the new texts of those snapshot files that contain changed settings, by relative file name."""
+    """Return the new text of each config file of a run, by relative path, for settings that a resume changes."""
     if not found:
         return {}
     config = load_config(run)

@@ -140,7 +140,7 @@ def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, An
 
 
 def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those scalars at the end of a training that the run's manifest records."""
+    """Return those final scalars of a training, such as the mean reward, that the run's manifest records."""
     keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
     chosen = {key: scalars[key] for key in keys if key in scalars}
     return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}

@@ -47,8 +47,8 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
     """Return what is wrong with a pair of distribution parameters, or None for a valid pair.
 
-    The rules for a pair are Isaac Lab's. The string ``least`` is a condition for random factors: ``above 0``,
-    ``at least 0``, or an empty string, which allows negative factors.
+    The rules for valid distribution parameters are the same as in Isaac Lab. The string ``least`` is a condition for
+    random factors: ``above 0``, ``at least 0``, or an empty string, which allows negative factors.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -64,8 +64,8 @@ def ranges(
 ) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
     """Return a rule that checks an event's ranges against the event's operation and distribution.
 
-    Factors in the ranges that ``above_0`` names must be above 0; factors in the ranges that ``at_least_0`` names must
-    be at least 0. Factors in the ranges that ``free`` names can be negative.
+    With the operation ``scale``, each range named in ``above_0`` must be above 0, and each range named in
+    ``at_least_0`` must be at least 0. A range named in ``free`` can contain negative scale factors.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 

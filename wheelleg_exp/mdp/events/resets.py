@@ -70,9 +70,9 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 class reset_root_state_from_terrain(TermBase):
     """Place the root above a random flat patch of the environment's terrain tile, with a random orientation.
 
-    The flat patch is one of those named ``init_pos`` in the ground's ``flat_patches``. The root's default position is
-    added to the position of the flat patch; the root's default orientation has no effect. The drawn velocity is that of
-    the root's centre of mass in world axes.
+    Random flat patches are drawn from the entry ``init_pos`` of the terrain's ``flat_patches``. The root's default
+    position is added to the position of the flat patch; the root's default orientation has no effect. The drawn
+    velocity is that of the root's centre of mass in world axes.
 
     Args:
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.

@@ -67,7 +67,7 @@ def short_name(name: str) -> str:
 
 
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return an Arrow record batch in which each known column has the Arrow type that belongs to the column's name.
+    """Convert each column of an Arrow record batch to the Arrow type that recordings use for the column's name.
 
     ``known_columns`` omits columns whose values cannot be converted, or whose short name belongs to an earlier column.
     """

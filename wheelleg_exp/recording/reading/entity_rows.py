@@ -78,7 +78,7 @@ class EntityRows:
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
-        """Return a rerun entity's numbers, (rows, width). Raise RunDirectoryError for rows of different widths."""
+        """Return a rerun entity's numbers, (rows, width); raise RunDirectoryError if the rows differ in width."""
         table = self.rows(entity)
         if SCALARS not in table.column_names:
             message = f"'{entity}' of '{self.path}' contains no numbers"

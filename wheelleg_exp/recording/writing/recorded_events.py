@@ -28,8 +28,8 @@ Columns = tuple[str, list[Stamp], Any]
 class EventLog:
     """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events of a control step happen after this control step is recorded. The recorder logs interval events at
-    the next control step or between two control steps.
+    Interval events of a control step happen after this control step is recorded. The recorder logs the interval events
+    of a control step when the recorder captures the next control step or writes its buffer to the file.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:

@@ -27,10 +27,10 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 
 @dataclass(frozen=True)
 class Channel:
-    """One row of numbers in each frame: its name, the names of the numbers, and a function that reads the row.
+    """A recorded quantity, such as the joint positions: its key, its numbers' names, and a function that reads it.
 
-    ``entities`` contains either one rerun path for all numbers of the row, or one rerun path per number. If
-    ``entities`` is empty, the recorder does not write the row's numbers to the rerun file.
+    ``entities`` lists the rerun entities that store a recorded quantity: one entity for all numbers, or one entity per
+    number. If ``entities`` is empty, the recorder does not write the recorded quantity to the rerun file.
     """
 
     key: str
@@ -160,7 +160,7 @@ class Frames:
         self.count = 0
 
     def append(self) -> None:
-        """Read the numbers of all channels, and add them as a new frame to the buffer."""
+        """Read all recorded quantities of the environment, and add their numbers as a new frame to the buffer."""
         if self.count == len(self._rows):
             self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
         row = self._rows[self.count]
@@ -169,7 +169,7 @@ class Frames:
         self.count += 1
 
     def blocks(self) -> dict[str, Array]:
-        """Return the n buffered rows of each channel, (n, width), by the channel's key."""
+        """Return a dictionary that maps each recorded quantity's key to its buffered numbers, (frames, width)."""
         rows = self._rows[: self.count]
         return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
 
@@ -179,20 +179,20 @@ class Frames:
 
 
 class Episodes:
-    """A counter of recorded episodes. A recorded row that does not follow the previous row starts a new episode."""
+    """A counter of recorded episodes. A recorded step that does not continue the last episode starts a new episode."""
 
     def __init__(self) -> None:
         self.number = -1
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Count a row that was recorded at step ``step`` of the run and at step ``episode_step`` of the episode."""
+        """Increase the episode number if the recorded step does not continue the episode of the last recorded step."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step
 
     def restore(self, number: int, step: int, episode_step: int) -> None:
-        """Continue the count of episodes after the last row that an earlier process recorded."""
+        """Continue the count of episodes after the last control step that an earlier process recorded."""
         self.number, self._step, self._episode_step = number, step, episode_step
 
 

@@ -117,11 +117,11 @@ class Recorder:
         self._active = steps is None or steps > 0
 
     def sample(self, due: int, enough: int, most: int) -> None:
-        """Start or resume a sample of each environment, a sequence of complete episodes that ``capture`` records.
+        """Start or resume the recording of complete episodes of each environment by the method ``capture``.
 
         Only episodes that start after the control step ``due`` are recorded. After ``enough`` frames of an environment,
         recording stops at the end of the environment's current episode. If ``enough`` is 0, no frame is recorded. After
-        ``most`` frames, recording stops within an episode.
+        ``most`` frames, recording stops at once, even in the middle of an episode.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:

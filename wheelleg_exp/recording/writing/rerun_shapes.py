@@ -171,7 +171,7 @@ class VelocityArrows:
     """Draws arrows above the base for the commanded and the actual planar velocity.
 
     ``command`` is the key of the recorded velocity command, and ``root`` is the MuJoCo id of the base. ``lift`` is the
-    height of the arrows above the base, m, and ``scale`` is the arrow length in m per m/s.
+    height of the velocity arrows above the base, m. ``scale`` is the length of a velocity arrow, in m per m/s.
     """
 
     command: str

@@ -28,9 +28,10 @@ class EarlierRecording:
     """Reads an interrupted run's recording up to a control step, for a recorder that continues the recording.
 
     An incomplete last message of the interrupted run's recording is omitted. ``EarlierRecording`` only reads files.
-    ``last`` maps each recorded counter (episode number, step within the episode) to its last control step and its last
-    value. ``steps`` maps the rerun path of each episode number or episode step to all control steps at which it was
-    recorded. ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
+    ``last`` maps the rerun entity of each counter (episode number, step within the episode) to the counter's last
+    control step and last value. ``steps`` maps the rerun entity of each counter (episode number, step within the
+    episode) to the control steps of all values of the counter. ``EarlierRecording`` raises RunDirectoryError if the
+    recording is damaged or from another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:

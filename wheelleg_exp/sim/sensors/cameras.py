@@ -165,8 +165,8 @@ class Camera(LazySensor):
         vertical_aperture_offset: offset of the image's centre downwards, in focal lengths.
         fovy: vertical angle of view, rad, instead of the apertures; pixels are square.
         clipping_range: nearest and farthest visible distance along the axis, m.
-        depth_clipping_behavior: the distance of a pixel that sees nothing: ``none`` means inf, ``zero`` means 0, and
-            ``max`` means the largest distance.
+        depth_clipping_behavior: a pixel that sees nothing gets the distance inf with the value ``none``, 0 with
+            ``zero``, and the largest measurable distance with ``max``.
         max_num_envs: maximum number of environments, because each image takes milliseconds.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
@@ -308,8 +308,8 @@ class RayCasterCamera(RayCaster):
             ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
             up, in ``ros``; and along -z, with y up, in ``opengl``.
         max_distance: longest ray, m.
-        depth_clipping_behavior: the distance of a pixel that sees nothing: ``none`` means inf, ``zero`` means 0, and
-            ``max`` means the largest distance.
+        depth_clipping_behavior: a pixel that sees nothing gets the distance inf with the value ``none``, 0 with
+            ``zero``, and the largest measurable distance with ``max``.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 

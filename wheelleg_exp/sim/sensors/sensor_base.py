@@ -48,7 +48,7 @@ class SensorBase(Kept):
 
     @property
     def cfg(self) -> SensorBase:
-        """Return the sensor, because terms written for Isaac Lab read the sensor's settings from ``sensor.cfg``."""
+        """Return ``self``, because terms written for Isaac Lab read a sensor's settings from ``sensor.cfg``."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
@@ -140,9 +140,8 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 class LazySensor(SensorBase):
     """A sensor whose method ``sense`` takes a measurement when code reads ``data``, at most once per physics state.
 
-    A lazy sensor with an update period stores its measurements. A lazy sensor with an update period measures at a reset
-    and once after each period, even if nobody reads ``data``. Reading ``data`` never changes the results of a lazy
-    sensor.
+    If ``update_period`` is not 0, a lazy sensor takes and stores a measurement at each reset and after each period,
+    even if no code reads ``data``. Reading ``data`` never changes the results of a lazy sensor.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.

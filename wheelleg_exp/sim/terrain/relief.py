@@ -19,8 +19,8 @@ from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
 class Tile:
     """The heights of one terrain tile, m; the array's first index is along x, the second index along y.
 
-    The heights (nx + 1, ny + 1) belong to the corners of the squares of the tile's grid. With ``boxes``, the heights
-    (nx, ny) of a tile belong to squares with vertical edges.
+    If ``boxes`` is false, ``heights`` (nx + 1, ny + 1) are the heights at the corners of the tile's grid squares. If
+    ``boxes`` is true, each grid square is the level top of a box, and ``heights`` (nx, ny) has one height per square.
     """
 
     heights: npt.NDArray[np.float32]

@@ -223,8 +223,8 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The lattice starts at a tile's first grid point inside the flat rim. A lattice shifted by half a grid cell would
-    halve the standard deviation of the heights, because each height would be the mean of four random heights.
+    The lattice of random heights starts at a tile's first grid point inside the tile's flat rim. If this lattice were
+    shifted by half a grid cell, each height would be the mean of four random heights, with half the standard deviation.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,7 +235,7 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return each grid point's lattice interval, the point's place in the interval, and the number of intervals."""
+    """Return each point's interval between random heights, its place in the interval, and the number of intervals."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)

@@ -160,7 +160,7 @@ class TerrainBase(Kept):
         """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
         As in Isaac Lab, an environment that moves up from the hardest row of tiles moves to a random row. In the
-        easiest row of tiles, an environment does not move down. Environments on a ground without tiles do not move.
+        easiest row of tiles, an environment does not move down. Without tiles, no environment's origin changes.
         """
         if self.terrain_origins is None:
             return

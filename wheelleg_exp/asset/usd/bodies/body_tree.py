@@ -275,7 +275,7 @@ class _Builder:
                 self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
 
     def _grow(self, root: Link, joint: Joint | None) -> None:
-        """Add ``root`` (free, or fixed to the world by ``joint``) and all bodies connected to ``root`` to the tree."""
+        """Add the body ``root``, and all bodies that joints connect to ``root``, to the robot's body tree."""
         if root.path in self._placed:
             return
         self._place(root, None, joint, 0)

@@ -33,7 +33,7 @@ class Graph:
                 self.edges.setdefault(link.path if link else None, []).append(joint)
 
     def at(self, link: Link | None) -> list[Joint]:
-        """Return the joints that connect a link to other links; None means the joints of the world."""
+        """Return the joints that connect a link to other links, or the joints of the world if ``link`` is None."""
         return self.edges.get(link.path if link else None, [])
 
     def neighbours(self, link: Link, closing: bool = False) -> Iterable[Link]:

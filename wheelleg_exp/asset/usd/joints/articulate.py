@@ -20,7 +20,7 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return a body's degrees of freedom; joints without a saved state get the coordinates of the body's drawn pose.
+    """Return a body's degrees of freedom; if USD stores no joint state, compute it from the body's pose in USD.
 
     A joint coordinate outside the joint's limits is clamped to the limits. If ``loops`` is true, a joint coordinate of
     zero is not clamped, because moving a single joint would open a kinematic loop.
@@ -49,7 +49,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
 
 
 def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
-    """Report a body's pose in the USD file that the joint cannot reach; save the nearest reachable joint state."""
+    """Set joint positions from a body's pose in the USD file; report a pose that the body's joints cannot reach."""
     assert node.joint is not None
     drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
     moved = zero.inverse() @ drawn
@@ -78,7 +78,7 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
     """Return the joint coordinates that bring a body as near as possible to the body's pose in the USD file.
 
-    The coordinates of a ball joint, and of a body with several joints, stay zero.
+    For a ball joint, or a body with several joints, ``_coordinates`` returns only zeros.
     """
     assert node.joint is not None
     if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):

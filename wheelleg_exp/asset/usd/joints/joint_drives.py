@@ -48,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report a drive's target velocity, which shifts the drive by ``shift`` in PhysX but is ignored in MuJoCo."""
+    """Report an omitted target velocity, which in PhysX would keep a joint ``shift`` away from its target position."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"

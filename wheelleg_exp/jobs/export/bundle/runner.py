@@ -56,7 +56,7 @@ class Term:
         self.length = max(1, spec["history_length"])
 
     def reset(self) -> None:
-        """Clear the history and the modifier states of the observation term, at the start of an episode."""
+        """Clear an observation term's history and modifier states at the start of an episode."""
         self.history: np.ndarray | None = None  # The first sample after a reset fills the whole observation history.
         self.memory: dict[int, list[np.ndarray]] = {}
 

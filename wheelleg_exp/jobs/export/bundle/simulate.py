@@ -1,8 +1,8 @@
 """Simulate the bundle's robot and policy in MuJoCo, as in ``python simulate.py --seconds 20 --command 0.2 0 0``.
 
-Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status of the
-program is 1 if the robot fell. ``robot/scene.xml`` places the training's robot on level ground. The simulated motor
-drives compute torques as in training.
+``simulate.py`` needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx).
+``simulate.py`` exits with status 1 if the robot fell. ``robot/scene.xml`` places the training's robot on level ground.
+The simulated motor drives compute torques as in training.
 """
 
 from __future__ import annotations
