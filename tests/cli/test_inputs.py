@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from jobs.small import TINY, wheelleg
+from jobs.small import TINY, refused, wheelleg
 from refused import refusal
 
 from wheelleg_exp.paths import assets_dir
@@ -21,9 +21,14 @@ REPORTED_TOGETHER = [
         "env.rewards.ang_vel_xy._target_=torch.load": ["outside the allowed packages"],
         "env.rewards.base_height._target_=wheelleg_exp.mdp.rewards.base_hight_l2": ["did you mean 'base_height_l2'?"],
         "agent.actor.activation=eluu": ["did you mean 'elu'?"],
+        "agent.obs_groups.actor=[]": [],
+        "recording.env_ids=[99]": ["from 0 to 15"],
     },
     {
         "env.num_envs=many": ["a whole number"],
+        "env.actions.leg_pos.joint_names=[nothing]": ["matches nothing", "l01, r01"],
+        "agent.algorithm.class_name=subprocess:run": ["outside the allowed packages"],
+        "run.name=a/b": ["letters, digits"],
         "agent.max_iterations=-5": ["at least 1"],
         "agent.num_steps_per_env=1.5": ["a whole number"],
         "agent.torch_threads=true": ["a whole number"],
@@ -40,18 +45,11 @@ REPORTED_ALONE = {
     "env.rewards.alive.wieght=2": ["no such key", "did you mean 'env.rewards.alive.weight'?"],
     "task=stnd": ["expected one of", "did you mean 'stand'?"],
     "reward@env.rewards=[alvie]": ["did you mean 'alive'?"],
-    # joints and bodies
-    "env.actions.leg_pos.joint_names=[nothing]": ["matches nothing", "l01, r01"],
     "env.robot.asset=nowhere/robot.usda": ["there is no file", "nowhere/robot.usda"],
     # the agent
     "agent.torch_threads=100000": [],
-    "agent.algorithm.class_name=subprocess:run": ["outside the allowed packages"],
-    "agent.obs_groups.actor=[]": [],
     "agent.device=cuda:77": [],
     "agent.device=cudaa": [],
-    # the run
-    "recording.env_ids=[99]": ["from 0 to 15"],
-    "run.name=a/b": ["letters, digits"],
 }
 
 
@@ -78,12 +76,10 @@ def test_every_mistake_of_a_config_is_reported_at_once_and_leaves_nothing_behind
 
 
 @pytest.mark.parametrize("command", ["zero-agent", "random-agent"])
-@pytest.mark.parametrize(
-    "override", ["env.decimation=0", "env.actions.leg_pos.joint_names=[nothing]", "recording.env_ids=[99]"]
-)
-def test_agents_refuse_the_same_overrides(command, override, tmp_path):
-    line = refusal(command, "env.num_envs=2", "env.sim.nthread=1", override)
-    assert f"override {override}" in line
+def test_agents_refuse_the_same_overrides(command, tmp_path):
+    wrong = ["env.decimation=0", "env.actions.leg_pos.joint_names=[nothing]", "recording.env_ids=[99]"]
+    said = refused(command, "env.num_envs=2", "env.sim.nthread=1", *wrong)
+    assert [override for override in wrong if f"(override {override})" not in said] == []
     assert list(tmp_path.iterdir()) == []
 
 
@@ -102,12 +98,11 @@ def test_a_wrong_value_in_a_file_is_reported_with_file_and_line(tmp_path):
     ("text", "word"),
     [
         ("", "robot.usda"),
-        ("this is no USD", "robot.usda"),
         ('#usda 1.0\ndef Xform "robot" {}\n', "articulation"),
         ('#usda 1.0\ndef Xform "robot" {\n', "robot.usda"),
         ((assets_dir() / "wheelleg" / "wheelleg.usda").read_text(), "robot.usda"),
     ],
-    ids=["empty", "text", "without articulation", "cut off", "without its references"],
+    ids=["empty", "without articulation", "cut off", "without its references"],
 )
 def test_a_robot_file_without_a_robot_is_refused(tmp_path, text, word):
     (tmp_path / "robot.usda").write_text(text)

@@ -54,7 +54,7 @@ def refused(status, *words):
     return message
 
 
-@pytest.mark.parametrize("line", ENDINGS)
+@pytest.mark.parametrize("line", list(ENDINGS)[2:])
 def test_a_module_that_would_end_the_program_when_it_is_imported_is_named(pet, line):
     words = pet(f"{line}\n" + FUNCTION.format("pass"))
     message = refused(2, "train", *words)
@@ -82,9 +82,9 @@ def test_a_term_that_would_end_the_program_when_it_is_built_is_named(pet):
 
 
 @pytest.mark.train
-@pytest.mark.parametrize("line", [line for line in ENDINGS if "sys" in line or "Keyboard" in line or "Odd" in line])
+@pytest.mark.parametrize("line", list(ENDINGS)[:2])
 def test_a_term_that_would_end_the_program_while_it_trains_is_named_and_the_run_has_failed(pet, line, tmp_path):
-    words = pet(CLASS.format("pass", f"if self.calls > 20: exec({line!r})"))
+    words = pet(CLASS.format("pass", f"if self.calls > 9: exec({line!r})"))
     message = refused(3, "train", *TINY, "agent.max_iterations=1", "recording.enabled=false", *words)
     expected = (ENDINGS[line], "env.rewards.pet: 'pet.terms.reward' raises ", "pet/terms.py:")
     assert [part for part in expected if part not in message] == []
@@ -118,7 +118,7 @@ def test_a_module_that_closes_standard_output_is_refused(pet):
 def test_a_module_that_ignores_ctrl_c_does_not_prevent_an_interrupt(pet, tmp_path):
     words = pet(
         "import os, signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        + CLASS.format("pass", "os.kill(os.getpid(), signal.SIGINT) if self.calls == 20 else 0")
+        + CLASS.format("pass", "os.kill(os.getpid(), signal.SIGINT) if self.calls == 9 else 0")
     )
     before = signal.getsignal(signal.SIGINT)
     said = wheelleg("train", *TINY, "agent.max_iterations=3", "recording.enabled=false", *words)

@@ -5,14 +5,12 @@ from pathlib import Path
 
 import pytest
 from jobs.replays import change_manifest
-from jobs.small import SMALL, Trained, cache_of, copied, trained_once, wheelleg
+from jobs.small import SMALL, Trained, cache_of, copied, only_run, succeed, trained_once, wheelleg
 from refused import refusal
 
 from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
-
-SHORT = [*SMALL, "agent.max_iterations=2"]
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +19,12 @@ def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, RunDirectory]:
     runs = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        weight = [*SHORT, "env.rewards.alive.weight=4.0"]
-        for name, words in {"again": SMALL, "seed": [*SHORT, "seed=1"], "weight": weight}.items():
+        one = [*SMALL, "agent.max_iterations=1"]
+        changed = {"seed": [*one, "seed=1"], "weight": [*one, "env.rewards.alive.weight=4.0"]}
+        for name, words in {"again": SMALL, **changed}.items():
             root = tmp_path_factory.mktemp(name) / "runs"
-            said = wheelleg("train", *words, f"run.root={root}")
-            assert said.status == 0, said.err
-            (path,) = (root / "stand").iterdir()
-            runs[name] = RunDirectory.open(path, root)
+            succeed("train", *words, f"run.root={root}")
+            runs[name] = RunDirectory.open(only_run(root), root)
     return runs
 
 
@@ -69,7 +66,7 @@ def test_a_recording_that_could_not_be_merged_is_reported_and_the_run_is_sound(t
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         patch.setattr("wheelleg_exp.recording.rerun_program.rerun_program", lambda: str(tmp_path / "none"))
-        said = wheelleg("train", *SHORT, f"run.root={tmp_path / 'runs'}")
+        said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path / 'runs'}")
     assert said.status == 0
     (warning,) = [line for line in (said.out + said.err).splitlines() if line.startswith("warning: the recording")]
     assert "rerun's program is missing" in warning
@@ -81,7 +78,7 @@ def test_a_recording_that_could_not_be_merged_is_reported_and_the_run_is_sound(t
     assert check["state"] == "note"
     assert "(rerun's program is missing)" in check["notes"][0]
     assert wheelleg("inspect", path, "--repair").status == 0  # as it advises
-    again = wheelleg("resume", path, "agent.max_iterations=3")
+    again = wheelleg("resume", path, "agent.max_iterations=2")
     assert again.status == 0, again.err
     assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] is None
     assert "--repair" not in wheelleg("verify", path).out

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,13 +34,30 @@ def test_the_small_tree_has_no_mistakes(command, capsys):
     assert json.loads(capsys.readouterr().out) == {"mistakes": []}
 
 
-@pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_reported_once_with_key_place_and_nearest_name(name, command, edit, capsys):
-    case = MISTAKES[name]
+def _groups() -> list[list[str]]:
+    """Group overrides of different sections, because one check reports all their mistakes."""
+    groups, uses = defaultdict(list), Counter()
+    for name, case in MISTAKES.items():
+        word, *more = case.get("words", [""])
+        key = re.split("[=:]", word)[0].lstrip("+~").split("@")[-1].split(".")
+        section = str(key[: 2 if key[0] == "env" else 1])
+        alone = more or word.startswith(("--", "hydra.searchpath", "task=[")) or case.keys() - {"words", "message"}
+        groups[name if alone else uses[section]].append(name)
+        uses[section] += 1
+    return list(groups.values())
+
+
+@pytest.mark.parametrize("names", _groups(), ids=lambda names: names[0])
+def test_a_mistake_is_reported_once_with_key_place_and_nearest_name(names, command, edit, capsys):
+    case, *others = cases = [MISTAKES[name] for name in names]
     for file, *texts in case.get("edits", ()):
         edit(file, *texts)
-    status = command(case.get("words", []))
-    _assert_reported(status, capsys, case["message"], case.get("several", False), case.get("without", ()))
+    status = command([word for case in cases for word in case.get("words", [])])
+    if not others:
+        return _assert_reported(status, capsys, case["message"], case.get("several", False), case.get("without", ()))
+    _, *told = capsys.readouterr().err.splitlines()
+    assert (status, len(told)) == (2, len(cases)), told
+    assert [c for c in cases if not any(all(part in line for part in c["message"]) for line in told)] == [], told
 
 
 def _assert_reported(status, capsys, parts, several=False, without=()):
@@ -75,21 +94,14 @@ def test_debug_shows_the_traceback(command, capsys):
     assert "Traceback" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("defaults: [walk, _self_]\nhydra:\n  run: {dir: x}\n  sweeper: {params: {seed: 1}}\n",
-         ["hydra.run.dir: nothing reads this", "mine.yaml:4", "run.root=DIR"]),
-        ("defaults: [walk, _self_]\nhydra: {sweeper: {max_batch_size: 2}}\n",
-         ["hydra.sweeper.max_batch_size: nothing reads this", "mine.yaml:3", "hydra.sweeper.params"]),
-        ("defaults:\n- walk\n- override /hydra/job_logging: disabled\n- _self_\n",
-         ["hydra/job_logging: nothing reads this", "mine.yaml:4"]),
-    ],
-    ids=["run directory", "sweeper", "choice"],
-)  # fmt: skip
-def test_an_unread_setting_of_hydra_in_a_users_file_is_reported(text, expected, command, user, capsys):
-    (user / "task" / "mine.yaml").write_text(f"# @package _global_\n{text}")
-    _assert_reported(command(["--config-dir", str(user), "task=mine"]), capsys, expected)
+def test_unread_settings_of_hydra_in_a_users_file_are_reported(command, user, capsys):
+    defaults = "# @package _global_\ndefaults:\n- walk\n- override /hydra/job_logging: disabled\n- _self_\n"
+    text = "hydra:\n  run: {dir: x}\n  sweeper: {params: {seed: 1}, max_batch_size: 2}\n"
+    (user / "task" / "mine.yaml").write_text(defaults + text)
+    expected = ["hydra.run.dir: nothing reads this", "mine.yaml:7", "run.root=DIR",
+                "hydra.sweeper.max_batch_size: nothing reads this", "mine.yaml:8", "hydra.sweeper.params",
+                "hydra/job_logging: nothing reads this", "mine.yaml:4", "3 mistakes"]  # fmt: skip
+    _assert_reported(command(["--config-dir", str(user), "task=mine"]), capsys, expected, several=True)
 
 
 def test_a_user_file_that_a_stock_file_hides_is_reported(command, user, capsys):
@@ -100,28 +112,16 @@ def test_a_user_file_that_a_stock_file_hides_is_reported(command, user, capsys):
     assert "mine/configs/reward/alive.yaml" in message
 
 
-# Each broken entry, and the only other mistakes that the check reports with it.
-BESIDE = [("env.num_envs=0", "env.num_envs: 0 is out of range"), ("env.rewards.height.weight=heavy", "'heavy'")]
-BROKEN = {
-    "does not parse": "alive:\n  weight: [\n",
-    "lacks its key": "_target_: shelf_terms.alive\nweight: 1.0\n",
-    "is empty": "",
-    "has another key": "alife:\n  _target_: shelf_terms.alive\n  weight: 1.0\n",
-}
-
-
-@pytest.mark.parametrize("how", BROKEN)
-def test_a_broken_file_of_a_term_hides_no_other_mistake_and_makes_none(how, command, edit, capsys):
-    edit("reward/alive.yaml", BROKEN[how])
+@pytest.mark.parametrize("text", ["alive:\n  weight: [\n", "alife:\n  _target_: shelf_terms.alive\n  weight: 1.0\n"])
+def test_a_broken_file_of_a_term_hides_no_other_mistake_and_makes_none(text, command, edit, capsys):
+    edit("reward/alive.yaml", text)
     edit("task/stand.yaml", "  rewards:\n", "  rewards:\n    alive: {weight: 2.0}\n")
     edit("task/stand.yaml", "  - _self_", "  - /curriculum@env.curriculum: [later]\n  - _self_")
     later = "later:\n  _target_: wheelleg_exp.mdp.curriculums.modify_reward_weight\n"
     edit("curriculum/later.yaml", later + "  term_name: alive\n  weight: 1.0\n  num_steps: 10\n")
-    assert command([word for word, _ in BESIDE]) == 2
-    message = capsys.readouterr().err
-    assert [expected for _, expected in BESIDE if expected not in message] == []
-    assert message.startswith("wheelleg: error: 3 mistakes in the config"), message
-    assert "alive.yaml" in message
+    expected = ["3 mistakes in the config", "alive.yaml", "env.num_envs: 0 is out of range", "'heavy'"]
+    status = command(["env.num_envs=0", "env.rewards.height.weight=heavy"])
+    _assert_reported(status, capsys, expected, several=True)
 
 
 def test_every_command_of_the_table_has_help():

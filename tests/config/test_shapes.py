@@ -1,4 +1,5 @@
 import json
+from itertools import cycle
 
 import pytest
 
@@ -23,8 +24,7 @@ VARIANTS = {
 }
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(("task", "variant"), zip(TASKS, cycle(VARIANTS), strict=False))
 def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
     from wheelleg_exp.build import build_env
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from wheelleg_exp.cli.configs import compose as printing
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.compose import Composed, compose
 
 pytestmark = pytest.mark.slow
 
@@ -26,18 +27,25 @@ OWN_OPTIONS = {"--steps": 2, "-m": 1}
 STAND = compose(["task=stand"]).config["env"]
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder in which a reader would have written the recipes' files; what was imported of it is forgotten."""
+@cache
+def composed(*words: str, folder: Path | None = None) -> Composed:
+    return compose(words, config_dirs=[folder] if folder else [])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder in which a reader would have written the recipes' files."""
+    root = tmp_path_factory.mktemp("recipes")
     for name, text in FILE.findall(TEXT):
-        file = tmp_path / name
+        file = root / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
-    (tmp_path / "my_package" / "__init__.py").touch()
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    for name in [name for name in sys.modules if name.partition(".")[0] == "my_package"]:
-        del sys.modules[name]
+    (root / "my_package" / "__init__.py").touch()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(root)
+        own = lambda words, primary, config_dirs: composed(*words, folder=(*config_dirs, None)[0])  # noqa: E731
+        patch.setattr(printing, "compose", own)
+        yield root
 
 
 def checkable(line: str) -> list[str] | None:
@@ -63,7 +71,7 @@ def test_the_page_has_recipes():
     assert len(FILE.findall(TEXT)) >= 9
 
 
-@pytest.mark.parametrize("line", [line for line in COMMANDS if checkable(line)])
+@pytest.mark.parametrize("line", {str(checkable(line)): line for line in COMMANDS if checkable(line)}.values())
 def test_a_command_finds_no_mistake(folder, capsys, line):
     words = checkable(line)
     assert words is not None
@@ -72,8 +80,8 @@ def test_a_command_finds_no_mistake(folder, capsys, line):
 
 
 def env(folder: Path, *overrides: str) -> dict[str, Any]:
-    node: dict[str, Any] = compose(overrides, config_dirs=[folder / "my_configs"]).config["env"]
-    return node
+    own = folder / "my_configs" if overrides[0].startswith("task=") else None
+    return composed(*overrides, folder=own).config["env"]
 
 
 def test_a_term_is_added(folder):
@@ -110,11 +118,10 @@ def test_terms_are_reordered(folder):
 
 
 def test_a_stock_file_is_replaced_on_purpose(folder):
-    composed = compose([], config_dirs=[folder / "my_replacements"])
-    assert composed.config["env"]["rewards"]["alive"]["weight"] == 7.0
+    assert composed(folder=folder / "my_replacements").config["env"]["rewards"]["alive"]["weight"] == 7.0
 
 
 def test_a_task_changes_its_agent(folder):
-    composed = compose(["task=patient"], config_dirs=[folder / "my_configs"]).config
-    assert composed["agent"]["max_iterations"] == 300
-    assert composed["recording"]["enabled"] is False
+    config = composed("task=patient", folder=folder / "my_configs").config
+    assert config["agent"]["max_iterations"] == 300
+    assert config["recording"]["enabled"] is False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -12,8 +13,8 @@ _once = lru_cache(maxsize=128)(lambda words: compose(list(words)))
 
 
 def composed(*words: str) -> Composed:
-    """Return a new copy of the config that the overrides compose."""
-    return copy.deepcopy(_once(words))
+    """Return the composed config with a new copy of the tree ``config``."""
+    return replace(_once(words), config=copy.deepcopy(_once(words).config))
 
 
 def term(path: str, **fields: Any) -> dict[str, Any]:

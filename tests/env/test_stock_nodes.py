@@ -1,12 +1,12 @@
 """Every node of the stock configs, found by itself: what it gives, that a look changes nothing, and exact resume.
 
-Terms of one group are tested in one environment, because their names differ. Actions, robots, scenes, and solvers
-exclude one another and are tested one by one.
+Terms of one group share an environment. Of leg actions, wheel actions, robots, scenes, and solvers it has one each.
 """
 
 from __future__ import annotations
 
 import io
+from itertools import cycle, islice
 from pathlib import Path
 
 import pytest
@@ -41,6 +41,7 @@ ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "e
 # Camera options need a rendering backend; the values are their config groups.
 PICTURES: dict[str, str] = {"sensors/camera_image": "observation", "sensors/depth_image": "observation"}
 DRAWN = {"camera"}
+TOGETHER = [["command", "event"], ["curriculum"], ["observation", "reward"], ["recorder", "sensor", "termination"]]
 SIZE = ["env.num_envs=3", "env.sim.nthread=1", "env.episode_length_s=0.2"]
 SIZE += ["env.scene.sensors.contact_forces.track_air_time=true"]
 # Every sensor recomputes these attributes from the physics results.
@@ -64,6 +65,7 @@ GROUPS = sorted(path.name for path in Path(configs_dir()).iterdir() if path.is_d
 
 def test_every_group_is_tried_or_named_as_one_that_is_not():
     assert {*GROUPS} <= {*MOUNTS, *APART, *NOT_BUILT}
+    assert {group for groups in TOGETHER for group in groups} == {*MOUNTS}
 
 
 def needs(group: str, options: list[str]) -> dict[str, set[str]]:
@@ -95,17 +97,17 @@ def options_by_key(group: str) -> dict[str, str]:
     return {key: option for option, node in read.items() for key in node or {}}
 
 
-def mounting(group: str, options: list[str]) -> list[str]:
+def mounting(options: dict[str, list[str]]) -> list[str]:
     """Return the overrides that add options to the stock task, with the commands and sensors to which they refer."""
-    wanted = {group: options}
-    for other, keys in needs(group, options).items():
-        known = options_by_key(other) if (configs_dir() / other).is_dir() else {}
-        wanted.setdefault(other, [])
-        wanted[other] = sorted({*wanted[other], *(known[key] for key in keys if key in known)})
+    wanted = dict(options)
+    for group, names in options.items():
+        for other, keys in needs(group, names).items():
+            known = options_by_key(other)
+            wanted[other] = sorted({*wanted.get(other, []), *(known[key] for key in keys if key in known)})
     if "base_velocity" not in wanted["command"]:
         wanted["command"] = ["base_velocity", *wanted["command"]]
     added = ("sensor", "recorder")  # The stock task has no list of these options.
-    chosen = {name: ",".join(options) for name, options in wanted.items() if options}
+    chosen = {name: ",".join(names) for name, names in wanted.items() if names}
     return [f"{'+' if name in added else ''}{name}@{MOUNTS[name]}=[{names}]" for name, names in chosen.items()]
 
 
@@ -168,23 +170,22 @@ def restores(env, overrides: list[str]) -> None:
     assert equal(act(env, 14, start=50), act(other, 14, start=50))
 
 
-@pytest.mark.parametrize("group", [name for name in GROUPS if name in MOUNTS])
-def test_all_terms_of_a_group(group):
+@pytest.mark.parametrize("groups", TOGETHER, ids=",".join)
+def test_all_terms_of_a_group(groups):
     alone = {*ON_TILES, *PICTURES, *DRAWN}
-    hold(mounting(group, [option for option in files(group) if option not in alone]))
+    hold(mounting({group: [option for option in files(group) if option not in alone] for group in groups}))
 
 
 @pytest.mark.pictures
 @pytest.mark.parametrize("option", PICTURES)
 def test_what_shows_pictures(option, request):
-    needed = mounting(PICTURES[option], [option])
+    needed = mounting({PICTURES[option]: [option]})
     if needs(PICTURES[option], [option])["sensor"] & DRAWN:
         request.getfixturevalue("graphics")
     hold(needed)
 
 
-@pytest.mark.parametrize("option", ON_TILES)
-def test_what_needs_a_ground_of_tiles(option):
+def test_what_needs_a_ground_of_tiles():
     ground = "env.scene.terrain.sub_terrains"
     patches = "num_patches: 4, patch_radius: 0.02, max_height_diff: 0.05"
     patches = "{_target_: wheelleg_exp.sim.terrain.FlatPatches, " + patches + "}"
@@ -192,9 +193,17 @@ def test_what_needs_a_ground_of_tiles(option):
     others = [f"~{ground}.{kind}" for kind in kinds if kind != "rough"]
     tiles = ["scene=rough", "env.scene.terrain.num_rows=2", "env.scene.terrain.num_cols=2", *others]
     named = [f"+{ground}.rough.flat_patches.{name}={patches}" for name in ("target", "init_pos")]
-    hold([*tiles, *named, *mounting(ON_TILES[option], [option])])
+    hold([*tiles, *named, *mounting({group: [option] for option, group in ON_TILES.items()})])
 
 
-@pytest.mark.parametrize(("group", "option"), [(g, o) for g in APART for o in files(g)])
-def test_each_option_that_excludes_others(group, option):
-    hold([f"action@env.actions=[{option}]" if group == "action" else f"{group}={option}"])
+def combinations() -> list[list[str]]:
+    """Return overrides, each with one option of every group in ``APART``; together they have all options."""
+    legs = [name for name in files("action") if name.startswith("leg_")]
+    groups = [legs, sorted({*files("action")} - {*legs}), *map(files, APART[1:])]
+    rows = zip(*(islice(cycle(group), max(map(len, groups))) for group in groups), strict=True)
+    return [[f"action@env.actions=[{leg},{wheel}]", *map("{}={}".format, APART[1:], row)] for leg, wheel, *row in rows]
+
+
+@pytest.mark.parametrize("overrides", combinations(), ids=",".join)
+def test_each_option_that_excludes_others(overrides):
+    hold(overrides)

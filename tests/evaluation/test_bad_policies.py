@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from functools import cache
 from typing import Any
@@ -17,7 +18,7 @@ PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipe
 
 
 KINDS = ("grid", "waves", "obstacles", "stairs", "stairs_inverted", "slope_inverted")
-WALK = words("walk", episodes=1, horizon_s=4.0, steady_s=2.0, lin_vel_x="[-0.3,0.0,0.3]")
+WALK = words("walk", episodes=1, horizon_s=3.0, steady_s=1.5, lin_vel_x="[-0.3,0.0,0.3]")
 SMALL = {
     "gate_stand": words("stand", episodes=4, horizon_s=4.0, survival_s="[4.0]"),
     "gate_walk": WALK,
@@ -29,11 +30,14 @@ SMALL = {
     ),
     "terrain": (
         "protocol.strip=null",
-        *words("terrain", episodes=2, levels=2, horizon_s=3.0),
+        *words("terrain", episodes=2, levels=2, horizon_s=2.0),
         *words("terrain.scene.terrain.sub_terrains", **dict.fromkeys(KINDS, "null")),
     ),
 }
 BAD = {"zeros": zeros, "noise": noise, "wrong sign": balancer(-1.0), "never moves": balancer(0.0)}
+
+
+short = cache(lambda name: protocol(name, *SMALL[name]))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +47,7 @@ def found(task):
     @cache
     def of(policy: str, name: str) -> Evaluation:
         make = {**BAD, "good": balancer(1.0)}[policy]
-        return evaluate(*task, make, protocol(name, *SMALL[name]))
+        return evaluate(*task, make, copy.deepcopy(short(name)))
 
     return of
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from jobs.small import TINY, Words, wheelleg
 
-from foreign.trial import Trial
+from foreign.trial import Trial, every_second
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.main import COMMANDS
 from wheelleg_exp.files import write_json, write_text, write_yaml
@@ -197,11 +197,11 @@ def give(archive: Archive, *words: str | Path, status: tuple[int, ...] = (0, 1, 
 
 # The command lines with a record r. The replay of a run is missing, because it runs the run's code and warns of this.
 QUICK = (*TINY, "env.num_envs=2", "recording.enabled=false", "agent.max_iterations=1", "agent.logger=null")
-SHORT = ("protocol.stand.episodes=1", "protocol.stand.horizon_s=1.1", "protocol.stand.survival_s=[0.5]")
+SHORT = ("protocol.stand={episodes:1,horizon_s:1.1,survival_s:[0.5]}", "protocol.resamples=50")
 TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "train": lambda r: [
         ("train", f"init_from={r}", *QUICK),
-        ("train", "agent=distillation", f"agent.teacher_checkpoint={r}"),
+        *([("train", "agent=distillation", f"agent.teacher_checkpoint={r}")] if "model" in r or "/stand/" in r else []),
         *([("train", f"env.robot.asset={r}")] if Path(r).is_file() else []),
     ],
     "resume": lambda r: [("resume", r), ("resume", r, "agent.max_iterations=4", "agent.logger=null")],
@@ -214,7 +214,7 @@ TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "verify": lambda r: [("verify", r), ("verify", r, r)],
     "inspect": lambda r: [("inspect", r), ("inspect", r, "--play"), ("inspect", r, "--repair", "-o", "repaired.rrd")],
     "convert": lambda r: [("convert", r)],
-    "check": lambda r: [("check", f"init_from={r}")],
+    "check": lambda r: [("check", f"init_from={r}")] if "/stand/" in r else [],
     "diff": lambda r: [("diff", r, "stand")],
     "list": lambda r: [("list", "runs", "--root", r), ("list", "runs", "--sweep", r)],
     "new": lambda r: [("new", "project", "--robot", r)],
@@ -330,11 +330,10 @@ def test_a_result_that_is_made_again_runs_no_code_and_trusts_nothing(archive, pl
     give(archive, "results", "evil", "--again", status=(2,))
 
 
-@pytest.mark.parametrize("kind", ["run", "pipeline", "sweep", "bundle"])
-def test_a_command_in_a_record_does_not_use_the_records_project(archive, kind, monkeypatch):
+@pytest.mark.parametrize(("kind", "below"), every_second(["run", "pipeline", "sweep", "bundle"], [".", "below"]))
+def test_a_command_in_a_record_does_not_use_the_records_project(archive, kind, below, monkeypatch):
     folder = RECORDS[kind](archive)
     archive.project(folder)
-    (folder / "below").mkdir()
-    for place in (folder, folder / "below"):
-        monkeypatch.chdir(place)
-        assert "is not an option" in give(archive, "check", "task=evil", status=(2,)).err
+    (folder / below).mkdir(exist_ok=True)
+    monkeypatch.chdir(folder / below)
+    assert "is not an option" in give(archive, "check", "task=evil", status=(2,)).err

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from jobs.small import wheelleg
 
-from foreign.trial import Trial
+from foreign.trial import Trial, every_second
 from wheelleg_exp import packages as projects
 from wheelleg_exp.packages import trust
 
@@ -51,8 +51,7 @@ NAMES = {
 }
 
 
-@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
-@pytest.mark.parametrize("command", ["resume", "play", "report"])
+@pytest.mark.parametrize(("name", "command"), every_second(NAMES.values(), ["resume", "play", "report"]))
 def test_a_project_in_the_run_is_not_used(asking, name, command):
     project(asking.run.path, asking.canary)
     word = name(asking)
@@ -153,12 +152,11 @@ FILES = {
 COMMANDS = [("list", "tasks"), ("compose", "task=evil"), ("check", "task=evil"), ("explain", "a", "task=evil")]
 
 
-@pytest.mark.parametrize("make", FILES.values(), ids=FILES)
-@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
-def test_a_config_of_a_project_may_be_anything(trial, make, words):
+@pytest.mark.parametrize(("name", "words"), every_second(FILES, COMMANDS))
+def test_a_config_of_a_project_may_be_anything(trial, name, words):
     configs = project(trial.root / "theirs", trial.canary)
     (configs / "task").mkdir()
-    make(configs / "task" / "evil.yaml")
+    FILES[name](configs / "task" / "evil.yaml")
     said = wheelleg(*words, "--config-dir", configs)
     assert said.status in (0, 2), said.err
     assert "--debug" not in said.err, said.err

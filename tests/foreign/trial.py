@@ -3,7 +3,7 @@
 import hashlib
 import os
 import stat
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,11 @@ _LOCKS = (".lock", ".manifest.lock")
 _SMALL = 1 << 20
 
 State = dict[str, tuple[Any, ...]]
+
+
+def every_second(rows: Collection[Any], columns: Sequence[Any]) -> list[tuple[Any, Any]]:
+    """Return every second pair of a row and a column; all rows and all columns are in a pair."""
+    return [(row, column) for number, row in enumerate(rows) for column in columns[number % 2 :: 2]]
 
 
 def state(root: Path, without: Path | None = None) -> State:
@@ -69,9 +74,9 @@ class Trial:
 
     def yaml(self, name: str, change: Callable[[Any], Any]) -> None:
         path = self.run.path / name
-        value = yaml.safe_load(path.read_text())
+        value = yaml.load(path.read_text(), yaml.CSafeLoader)
         change(value)
-        path.write_text(yaml.safe_dump(value, sort_keys=False))
+        path.write_text(yaml.dump(value, Dumper=yaml.CSafeDumper, sort_keys=False))
         self._record(name)
 
     def manifest(self, **changes: Any) -> None:

@@ -1,7 +1,11 @@
-"""Run a command in a child process that kills itself with SIGKILL during a named operation."""
+"""Run commands in forks of this process; each fork kills itself with SIGKILL during a named operation.
+
+A line of standard input is a point and the words of a command, as JSON. The answer is the exit status of the fork.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -68,7 +72,15 @@ def plant(point: str) -> None:
 
 
 if __name__ == "__main__":
+    import wheelleg_exp.jobs.train.resume_training
+    import wheelleg_exp.jobs.train.run_training  # noqa: F401
     from wheelleg_exp.cli.main import main
 
-    plant(sys.argv[1])
-    sys.exit(main(sys.argv[2:]))
+    for line in sys.stdin:
+        point, *words = json.loads(line)
+        if (child := os.fork()) == 0:
+            os.dup2(2, 1)
+            signal.alarm(600)  # ends a fork that hangs
+            plant(point)
+            sys.exit(main(words))
+        os.write(1, b"%d\n" % os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))

@@ -16,14 +16,19 @@ from patience import PATIENCE_S
 
 SIZE = 2
 _OF_NOBODY = 20000, 32000
-# Each line of the answer is one command's exit status.
+# Each line of the answer is one command's exit status. After an error a process cannot train again: "fork" goes first.
 _SCRIPT = """
 import json, os, sys
+import wheelleg_exp.rl.ranks
 from wheelleg_exp.cli.main import main
 
 for words, port in zip(json.loads(sys.argv[1]), json.loads(sys.argv[2]), strict=True):
     os.environ["MASTER_PORT"] = str(port)
-    print("status", main(words), flush=True)
+    child = os.fork() if words[0] == "fork" else None
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) if child else main(words[child == 0:])
+    if child == 0:
+        os._exit(status)
+    print("status", status, flush=True)
 """
 
 

@@ -148,9 +148,7 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     said = alone(bundle, "simulate.py", "--seconds", "3")
     assert (said.returncode, "it fell after" in said.stdout) == (1, True)
     mistakes = {"--command 1 2": "{'base_velocity': 3}", "--command nan 0 0": "finite numbers"}
-    seconds = dict.fromkeys(
-        [f"--seconds {value}" for value in ("nan", "inf", "-1", "0")], "a number of at least 0.01667"
-    )
+    seconds = dict.fromkeys([f"--seconds {value}" for value in ("nan", "inf", "0")], "a number of at least 0.01667")
     for words, message in (mistakes | seconds).items():
         said = alone(bundle, "simulate.py", *words.split())
         assert (said.returncode, message in said.stderr) == (2, True)
@@ -209,15 +207,20 @@ def test_the_specification_holds_what_a_deployer_needs(bundle):
     assert [path.name for path in bundle.iterdir() if path.is_file() and path.name not in text] == ["README.md"]
 
 
-def test_a_bundle_below_its_run_is_of_the_run(run):
-    first, second = exported(run), exported(run, checkpoint=run.checkpoint(0))
-    folders = [run.exported / "bundle", run.exported / "bundle-2"]
-    assert [made.folder for made in (first, second)] == folders
+def test_a_bundle_below_its_run_is_of_the_run_and_the_command_tells_what_it_made(run):
+    document = json.loads(wheelleg("export", run.path, "--json").out)
+    assert (document["folder"], document["lacks"]) == (str(run.exported / "bundle"), [])
+    assert document["checkpoint"].endswith("model_2.pt")
+    assert document["largest_difference"]["actions"] <= 1e-6
+    said = succeed("export", run.path, "--checkpoint", "0")
+    assert said.out.startswith(f"exported runs/stand/{run.id}/model_0.pt to runs/stand/{run.id}/exported/bundle-2")
+    said = wheelleg("export", run.path, "--checkpoint", "7")
+    assert (said.status, "no checkpoint of iteration 7" in said.err) == (2, True)
     entries = [entry for entry in run.manifest().data["additions"] if entry["kind"] == "export"]
     assert [entry["results"]["checkpoint"] for entry in entries] == ["model_2.pt", "model_0.pt"]
     assert "exported/bundle/robot/robot.xml" in entries[0]["files"]
     assert wheelleg("verify", run.path).status == 0
-    (first.folder / "policy.json").write_text("{}")
+    (run.exported / "bundle" / "policy.json").write_text("{}")
     assert wheelleg("verify", run.path).status == 1
 
 
@@ -229,18 +232,6 @@ def test_a_bundle_outlives_a_resume_of_its_run_and_what_a_killed_export_left_doe
     succeed("resume", run.path, f"agent.max_iterations={ITERATIONS + 1}")
     assert not left.exists()
     assert (spec_of(made.folder)["run"]["iteration"], wheelleg("verify", run.path).status) == (ITERATIONS - 1, 0)
-
-
-def test_the_command_tells_what_it_made_and_how_near_it_is(run):
-    said = succeed("export", run.path, "--checkpoint", "1")
-    assert said.out.startswith(f"exported runs/stand/{run.id}/model_1.pt to runs/stand/{run.id}/exported/bundle")
-    document = json.loads(wheelleg("export", run.path, "--json").out)
-    assert document["folder"] == str(run.exported / "bundle-2")
-    assert document["checkpoint"].endswith("model_2.pt")
-    assert document["largest_difference"]["actions"] <= 1e-6
-    assert document["lacks"] == []
-    said = wheelleg("export", run.path, "--checkpoint", "7")
-    assert (said.status, "no checkpoint of iteration 7" in said.err) == (2, True)
 
 
 def test_a_folder_that_exists_is_left_as_it_is(trained, tmp_path):
@@ -351,9 +342,10 @@ def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
 
 def run_c_header(folder: Path, place: Path, rows: np.ndarray, *flags: str) -> np.ndarray:
     """Return status, observation, action, and targets of the C header, one row for each row of start and readings."""
-    (place / "main.c").write_text(MAIN)
-    command = ["cc", "-std=c99", *flags, f"-I{folder}", place / "main.c", "-o", place / "main", "-lm"]
-    subprocess.run(command, check=True, timeout=PATIENCE_S)
+    if not (place / "main").exists():
+        (place / "main.c").write_text(MAIN)
+        command = ["cc", "-std=c99", *flags, f"-I{folder}", place / "main.c", "-o", place / "main", "-lm"]
+        subprocess.run(command, check=True, timeout=PATIENCE_S)
     said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
     return np.frombuffer(said.stdout, np.float32).reshape(len(rows), -1)
 

@@ -107,7 +107,7 @@ def test_a_learning_rate_that_blows_up_fails_with_the_algorithms_key(tmp_path):
 
 def test_a_single_episode_that_ends_so_is_told_at_the_end_and_in_the_list(tmp_path, monkeypatch):
     spoil(monkeypatch, range(5, 6), rows=slice(3, 4))
-    said = wheelleg("train", *WORDS, f"run.root={tmp_path}")
+    said = wheelleg("train", *WORDS, "agent.max_iterations=1", f"run.root={tmp_path}")
     note = "episodes that ended because a number was not finite: env.rewards.alive 1"
     assert said.status == 0
     assert note in said.out

@@ -65,23 +65,15 @@ def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
     assert (said.status, [mistake["key"] for mistake in json.loads(said.out)["mistakes"]]) == (2, ["init_from"])
 
 
-def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(trained: Trained, tmp_path):
+def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(begun, trained: Trained, tmp_path):
+    learned = train(tmp_path, trained.run.path, "agent.max_iterations=1", "init_from_what=learning")
     steps = {}
-    for what in ("networks", "learning"):
-        run = train(tmp_path, trained.run.path, "agent.max_iterations=1", f"init_from_what={what}")
-        state = checkpoint.load(run.checkpoint(0))
+    for what, path in (("networks", begun.checkpoint(0)), ("learning", learned.checkpoint(0))):
+        state = checkpoint.load(path)
         steps[what] = float(state["optimizer_state_dict"]["state"][0]["step"])
         assert state["iter"] == 0
     before = float(checkpoint.load(trained.run.latest_checkpoint())["optimizer_state_dict"]["state"][0]["step"])
     assert steps == {"networks": before / 3, "learning": before + before / 3}  # The source run has three iterations.
-
-
-def test_a_checkpoint_can_be_named_and_equal_networks_of_two_runs_have_one_digest(begun, trained: Trained, tmp_path):
-    run = train(tmp_path, trained.run.checkpoint(0), "agent.max_iterations=1")
-    assert run.manifest().data["init_from"]["checkpoint"] == "model_0.pt"
-    source = copied(trained, tmp_path / "sources")
-    run = train(tmp_path / "runs", source.path.rename(source.path.with_name("another")), "agent.max_iterations=1")
-    assert run.manifest().data["init_from"]["kept_sha256"] == begun.manifest().data["init_from"]["kept_sha256"]
 
 
 def test_a_checkpoint_that_is_not_there_is_told_with_the_nearest_that_is(trained: Trained):
@@ -102,12 +94,6 @@ def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained
     assert json.loads((begun.asset / "asset.json").read_text())["sources"][facts["kept"]] == sha256(kept)
 
 
-def test_a_replay_needs_nothing_of_the_other_run(begun: RunDirectory, tmp_path):
-    said = succeed("replay", begun.path, "--root", tmp_path / "runs")
-    assert "identical" in said.out
-    assert "saved MJCF" not in said.err  # The robot is converted again.
-
-
 def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory, tmp_path):
     path = tmp_path / "runs" / "stand" / begun.id
     shutil.copytree(begun.path, path)
@@ -119,9 +105,11 @@ def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory
     assert "init_from.pt" in said.out
 
 
-def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, monkeypatch):
+def test_it_goes_on_to_the_bit_and_equal_networks_have_one_digest(begun, trained: Trained, tmp_path, monkeypatch):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
-    run = train(tmp_path, trained.run.path, "agent.max_iterations=2")
+    source = copied(trained, tmp_path / "sources").path
+    run = train(tmp_path, source.rename(source.with_name("another")), "agent.max_iterations=2")
+    assert run.manifest().data["init_from"]["kept_sha256"] == begun.manifest().data["init_from"]["kept_sha256"]
     said = succeed("resume", run.path, "agent.max_iterations=4")
     assert "not exact" not in said.out + said.err
     assert sha256(run.checkpoint(3)) == sha256(begun.checkpoint(3))
@@ -134,34 +122,42 @@ TERMS = "observation@env.observations.policy.terms"
 
 POLICY = "env.observations.policy"
 MISTAKES = [
-    ("init_from=nobody", ["init_from: there is no run 'nobody'"]),
-    (f"+{TERMS}=[base_height]", [f"{POLICY}.terms.base_height: is new"]),
+    (["init_from=nobody"], ["init_from: there is no run 'nobody'"]),
     (
-        f"{TERMS}=[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel]",
-        [f"{POLICY}.terms.last_action: is missing"],
+        [f"+{TERMS}=[base_height]", "agent.actor.activation=relu", "action@env.actions=[wheel_vel,leg_pos]"],
+        [
+            f"{POLICY}.terms.base_height: is new",
+            *("agent.actor.activation", "has elu and this relu"),
+            *("env.actions:", "in the order leg_pos, wheel_vel"),
+        ],
     ),
-    (f"{POLICY}.history_length=3", [f"{POLICY}.history_length", "has 5 and this 3"]),
-    ("agent.actor.activation=relu", ["agent.actor.activation", "has elu and this relu"]),
     (
-        f"{POLICY}.terms.joint_pos_rel.asset_cfg.joint_names=['.*']",
+        [
+            f"{TERMS}=[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel]",
+            f"{POLICY}.history_length=3",
+        ],
+        [f"{POLICY}.terms.last_action: is missing", f"{POLICY}.history_length", "has 5 and this 3"],
+    ),
+    (
+        [f"{POLICY}.terms.joint_pos_rel.asset_cfg.joint_names=['.*']"],
         ["[16, 135] there and [16, 145] here", f"note: {POLICY}.terms.joint_pos_rel.asset_cfg.joint_names was"],
     ),
-    ("action@env.actions=[wheel_vel,leg_pos]", ["env.actions:", "in the order leg_pos, wheel_vel"]),
 ]
 
 
-@pytest.mark.parametrize(("word", "messages"), MISTAKES)
-def test_a_setting_that_does_not_fit_the_networks_is_named(trained: Trained, tmp_path, word, messages):
-    found = refused("train", *WORDS, f"init_from={trained.run.path}", f"run.root={tmp_path}", word)
+@pytest.mark.parametrize(("words", "messages"), MISTAKES)
+def test_settings_that_do_not_fit_the_networks_are_named(trained: Trained, tmp_path, words, messages):
+    found = refused("train", *WORDS, f"init_from={trained.run.path}", f"run.root={tmp_path}", *words)
     assert [text for text in messages if text not in found] == []
     assert not list(tmp_path.iterdir())
 
 
-def test_what_keeps_its_place_and_means_something_else_is_told(trained: Trained, tmp_path):
-    scaled = "++env.observations.policy.terms.base_ang_vel.scale=0.5"
-    words = (f"init_from={trained.run.path}", f"run.root={tmp_path}", "agent.max_iterations=1", scaled)
-    found = succeed("train", *WORDS, *words)
+def test_a_checkpoint_can_be_named_and_what_keeps_its_place_and_means_something_else_is_told(trained, tmp_path):
+    words = ("agent.max_iterations=1", "++env.observations.policy.terms.base_ang_vel.scale=0.5")
+    found = succeed("train", *WORDS, f"init_from={trained.run.checkpoint(0)}", f"run.root={tmp_path}", *words)
     assert "note: env.observations.policy.terms.base_ang_vel.scale was 0.25 and is 0.5" in found.err
+    (path,) = tmp_path.glob("stand/*/manifest.json")
+    assert json.loads(path.read_text())["init_from"]["checkpoint"] == "model_0.pt"
 
 
 def test_a_checkpoint_that_somebody_has_changed_is_refused(trained: Trained, tmp_path):

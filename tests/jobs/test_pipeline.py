@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import shutil
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, ClassVar
@@ -64,6 +66,7 @@ class Here:
     judged: ClassVar[list[str]] = []
     stop_after: int | None = None
     trained = 0
+    copies: Path | None = None  # where copies of all runs go, one before each evaluation
 
     @staticmethod
     def run(request: JobRequest, stop: StopRequest):
@@ -72,6 +75,8 @@ class Here:
     @staticmethod
     def events(request: JobRequest, stop: StopRequest):
         if request.kind == "evaluate":
+            if Here.copies:
+                shutil.copytree(request.root, Here.copies / str(len(Here.judged)))
             Here.judged.append(request.checkpoint)
             metrics = {"stand/survival": Here.values.pop(0)}
             yield {"event": "evaluated", "folder": "evaluation/x", "metrics": metrics, "scenarios_sha256": "0"}
@@ -110,10 +115,10 @@ def run(index: PipelineIndex, values: list[float], stop_after: int | None = None
         return runner.PipelineRunner(index, read_pipeline(index.data["config"]), display or Quiet(), stop).run()
 
 
-def resumed(index: PipelineIndex, values: list[float], *overrides: str) -> tuple[PipelineIndex, str]:
+def resumed(index: PipelineIndex, values: list[float], *overrides: str, **options: Any) -> tuple[PipelineIndex, str]:
     again = PipelineIndex.load(index.folder)
     resume_pipeline(again, overrides, ["wheelleg", "resume"])
-    return again, run(again, values)
+    return again, run(again, values, **options)
 
 
 def sums(index: PipelineIndex) -> list[str]:
@@ -125,21 +130,36 @@ def sums(index: PipelineIndex) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str]]:
-    """Return an uninterrupted pipeline of two phases, and its notes."""
-    display = Quiet()
+def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str], Path]:
+    """Return an uninterrupted pipeline of two phases, and its notes; copy its files before each evaluation."""
+    display, Here.copies = Quiet(), tmp_path_factory.mktemp("copies")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_request", Here.run)
         patch.setattr(circumstances, "_source_differences", lambda *_: [])
         index = begin(tmp_path_factory.mktemp("whole"), every=1, passes=2)
         assert run(index, [1.0, 1.0, 0.2, 1.0], display=display) == "finished"
-    return PipelineIndex.load(index.folder), display.notes
+    copies, Here.copies = Here.copies, None
+    return PipelineIndex.load(index.folder), display.notes, copies
 
 
 @pytest.fixture
-def whole(watched: tuple[PipelineIndex, list[str]]) -> PipelineIndex:
+def whole(watched) -> PipelineIndex:
     """Return the uninterrupted pipeline as its record describes it."""
     return PipelineIndex.load(watched[0].folder)
+
+
+@pytest.fixture
+def killed(watched, tmp_path) -> Callable[[int], PipelineIndex]:
+    """Return a function that returns the same pipeline, killed before its n-th evaluation."""
+
+    def before(evaluation: int) -> PipelineIndex:
+        root = shutil.copytree(watched[2] / str(evaluation), tmp_path / "killed")
+        index = PipelineIndex.load(next((root / "pipelines").iterdir()))
+        index.data["process"]["pid"] = 2**22 + 1
+        index.write()
+        return index
+
+    return before
 
 
 def test_each_phase_is_an_ordinary_run_that_begins_with_the_policy_before(whole: PipelineIndex):
@@ -163,15 +183,16 @@ def test_the_record_says_why_it_went_on(whole: PipelineIndex):
     assert second["gates"][1]["why"] == ["stand/survival is 0.2, but must be at least 0.5"]
 
 
-def test_a_phase_goes_on_early_at_so_many_passes_in_a_row(tmp_path):
-    index = begin(tmp_path, every=1, passes=2)
-    assert (run(index, [1.0, 1.0, 1.0]), index.phases[1]["trained"]) == ("finished", 2)
+def test_a_phase_goes_on_early_at_so_many_passes_in_a_row(killed):
+    index, status = resumed(killed(1), [1.0, 1.0])
+    assert (status, index.phases[1]["trained"]) == ("finished", 2)
     assert index.phases[1]["why"] == "the gate was passed 2 times in a row, after 2 iterations"
 
 
-def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(tmp_path):
-    index, display = begin(tmp_path), Quiet()
-    assert run(index, [0.2], display=display) == "stopped"
+def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(killed):
+    display = Quiet()
+    index, status = resumed(killed(0), [0.2], display=display)
+    assert status == "stopped"
     assert [note for note in display.notes if ": gate" in note] == ["first: gate after 2 iterations not passed"]
     first, second = index.phases
     assert (first["status"], second["status"], second["run"]) == ("failed", "waiting", None)
@@ -182,42 +203,42 @@ def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(tmp_path):
     with pytest.raises(ConfigError, match=r"is 1, and phase 'first' has done 2 iterations.*expected at least 2"):
         resumed(index, [], "pipeline.phases.first.max_iterations=1")
     assert index.path.read_bytes() == record
-    again, status = resumed(index, [1.0, 1.0], "pipeline.phases.first.max_iterations=3")
+    again, status = resumed(index, [1.0, 1.0, 1.0], "pipeline.phases.first.max_iterations=3")
     assert (status, again.phases[0]["trained"]) == ("finished", 3)
-    assert again.data["resumes"][0]["before"]["status"] == "stopped"
+    assert again.data["resumes"][1]["before"]["status"] == "stopped"
 
 
-def test_stopped_in_a_phase_it_goes_on_to_the_same_bytes(whole: PipelineIndex, tmp_path):
-    index = begin(tmp_path, every=1, passes=2)
-    answers = [1.0, 1.0, 0.2, 1.0]
-    assert run(index, answers, stop_after=4) == "interrupted"
-    again, status = resumed(index, answers[len(Here.judged) :])
+def test_stopped_in_a_phase_it_goes_on_to_the_same_bytes(whole: PipelineIndex, killed):
+    index, status = resumed(killed(1), [1.0], stop_after=1)
+    assert (status, index.phases[1]["trained"]) == ("interrupted", 1)
+    again, status = resumed(index, [0.2, 1.0])
     assert (status, sums(again)) == ("finished", sums(whole))
     assert [phase["gates"] for phase in again.phases] == [phase["gates"] for phase in whole.phases]
 
 
-def test_what_a_stopped_step_has_done_counts(whole: PipelineIndex, tmp_path):
-    index = begin(tmp_path)
-    assert run(index, [1.0], stop_after=4) == "interrupted"
+def test_what_a_stopped_step_has_done_counts(whole: PipelineIndex, killed):
+    index = killed(1)
+    index.data["config"]["phases"]["second"]["gate"]["every"] = None
+    index.write()
+    index, status = resumed(index, [], stop_after=1)
+    assert status == "interrupted"
     before = index.path.read_bytes()
     with pytest.raises(ConfigError, match=r"is 1, and phase 'second' has done 2 iterations.*expected at least 2"):
         resume_pipeline(PipelineIndex.load(index.folder), ["pipeline.phases.second.max_iterations=1"], [])
     assert index.path.read_bytes() == before
     Here.judged = []
-    again, status = resumed(index, [0.0, 1.0], "+pipeline.phases.second.gate.every=1")
+    again, status = resumed(index, [0.0, 1.0], "pipeline.phases.second.gate.every=1")
     assert (status, Here.judged, sums(again)) == ("finished", ["model_1.pt", "model_2.pt"], sums(whole))
 
 
-def test_killed_before_it_could_record_what_was_done_it_does_nothing_twice(whole: PipelineIndex, tmp_path):
-    index = begin(tmp_path, every=1, passes=2)
-    with pytest.raises(IndexError):
-        run(index, [1.0])
-    index.data |= {"status": "running", "process": {**index.data["process"], "pid": 2**22 + 1}}
+def test_killed_before_it_could_record_what_was_done_it_does_nothing_twice(whole: PipelineIndex, killed):
+    index = killed(1)
     index.phases[1]["trained"] = 0
     index.write()
     Here.judged = []
     again, status = resumed(index, [1.0, 0.0, 1.0])
     assert (status, Here.judged, sums(again)) == ("finished", ["model_0.pt", "model_1.pt", "model_2.pt"], sums(whole))
+    assert Here.trained == 2
 
 
 def test_one_that_is_finished_or_under_way_is_not_gone_on_with(whole: PipelineIndex):
@@ -251,35 +272,33 @@ def refusal(phases, words: list[str]) -> str:
 
 def test_mistakes_of_all_phases_are_reported_at_once_and_a_mistake_of_all_phases_once():
     phases = read_pipeline(tree()).phases
+    assert "set this themselves" in refusal(phases, ["task=walk"])
     phases["second"].overrides.append("+observation@env.observations.policy.terms=[base_height]")
     said = refusal(phases, WORDS)  # The phases do not fit together.
     assert re.search(r"phase 'second': env\..*: is new: phase 'first' does not have it", said)
     phases = read_pipeline(tree()).phases
-    phases["first"].overrides.append("env.num_envs=0")
     phases["second"].overrides.append("env.rewards.alive.weigth=1")
-    said = refusal(phases, [])
-    assert [word for word in ("phase 'first'", "phase 'second'") if word not in said] == []
-    assert "set this themselves" in refusal(phases, ["task=walk"])
-    phases = read_pipeline(tree()).phases
-    phases["first"].overrides.append("+reward@env.rewards=[upward]")
-    said = refusal(phases, ["env.rewards.alve.weight=1"])
-    assert said.startswith("env.rewards.alve.weight: there is no such key (override env.")
     for phase in phases.values():
         phase.overrides.append("env.num_envs=0")
-    assert refusal(phases, []).count("env.num_envs: ") == 2, "each phase's own"
+    said = refusal(phases, ["env.rewards.alve.weight=1"])
+    assert said.count("env.rewards.alve.weight: there is no such key (override env.") == 1
+    assert "phase 'second': env.rewards.alive.weigth: " in said
+    assert said.count("env.num_envs: ") == 2, "each phase's own"
+    assert [word for word in ("phase 'first'", "phase 'second'") if word not in said] == []
 
 
 def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
-    words = ("task=walk", "agent.max_iterations=9", "init_from=latest", "run.name=other")
-    for key, word in (*(("overrides", word) for word in words), ("gate.overrides", "protocol=walk")):
-        said = refused("check", *declared_two, f"++pipeline.phases.second.{key}=['{word}']")
-        whose = "gate" if key.startswith("gate") else "phase"
-        assert f"pipeline.phases.second.{key}: '{word}': the {whose} sets this itself" in said
-    said = wheelleg("check", *declared_two, "pipeline.phases.first.overrides=['init_from=nothing']")
-    assert (said.status, "pipeline.phases.first.overrides: phase 'first': init_from: " in said.err) == (2, True)
-    for word in ("seed=abc", "protocol.seed=abc"):
-        said = wheelleg("check", *declared_two, f"++pipeline.phases.second.gate.overrides=['{word}']")
-        assert (said.status, "pipeline.phases.second.gate.overrides: phase 'second': seed: " in said.err) == (2, True)
+    words, phases = ["task=walk", "agent.max_iterations=9", "init_from=latest", "run.name=other"], "++pipeline.phases."
+    given = f"{phases}second.overrides={words}", f"{phases}second.gate.overrides=['protocol=walk']"
+    said = refused("check", *declared_two, *given)
+    for word in words:
+        assert f"pipeline.phases.second.overrides: '{word}': the phase sets this itself" in said
+    assert "pipeline.phases.second.gate.overrides: 'protocol=walk': the gate sets this itself" in said
+    seeds = f"{phases}first.gate.overrides=['protocol.seed=abc']", f"{phases}second.gate.overrides=['seed=abc']"
+    said = refused("check", *declared_two, "pipeline.phases.first.overrides=['init_from=nothing']", *seeds)
+    assert "pipeline.phases.first.overrides: phase 'first': init_from: " in said
+    for name in ("first", "second"):
+        assert f"pipeline.phases.{name}.gate.overrides: phase '{name}': seed: " in said
     with pytest.raises(ConfigError, match=r"'a\.b' is not a phase name"):
         read_pipeline({**tree(), "phases": {"a.b": tree()["phases"]["first"]}})
 
@@ -292,16 +311,6 @@ def test_mistakes_of_a_pipeline_s_file_are_told_at_once_with_their_lines(declare
     assert [word for word in ("2 mistakes", "pipeline.phases.first.max_iterations") if word not in said] == []
     assert "did you mean 'overrides'?" in said
     assert said.count("two.yaml:") == 2
-
-
-def test_a_mistake_in_a_phase_s_own_override_is_told_with_its_file_and_line(declared_two):
-    file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
-    file.write_text(file.read_text().replace("env.rewards.alive.weight=1", "env.rewards.alive.weigth=1"))
-    line = 1 + next(n for n, text in enumerate(file.read_text().splitlines()) if "weigth" in text)
-    said = refused("check", *declared_two)
-    assert "pipeline.phases.second.overrides: phase 'second': env.rewards.alive.weigth: " in said
-    assert f"two.yaml:{line - 1})" in said, "where the list begins"
-    assert "did you mean 'env.rewards.alive.weight'?" in said
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), 0.4])
@@ -321,14 +330,13 @@ def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase
     node = tree(at_least={"stand/survivl": 0.5}, at_most={"walk/skill_vx": 1.0})
     (tmp_path / "pipeline").mkdir()
     (tmp_path / "pipeline" / "two.yaml").write_text("# @package pipeline\n" + yaml.safe_dump(node, sort_keys=False))
-    words = ["pipeline=two", *(word for word in WORDS if not word.startswith("agent.max_iter")), f"run.root={tmp_path}"]
-    said = refused("train", *words, "--config-dir", tmp_path)
+    words = ["pipeline=two", *WORDS, f"run.root={tmp_path}"]
+    word = "+pipeline.phases.first.gate.overrides=['protocol.stand=null']"
+    said = refused("train", *words, "--config-dir", tmp_path, word)
     assert "pipeline.phases.second.gate.at_least.stand/survivl: protocol 'stand' has no such metric" in said
     assert "did you mean 'stand/survival'" in said
     assert "pipeline.phases.second.gate.at_most.walk/skill_vx" in said
     assert "two.yaml:" in said
-    word = "+pipeline.phases.first.gate.overrides=['protocol.stand=null']"
-    said = refused("train", *words, "--config-dir", tmp_path, word)
     assert "gate.overrides: phase 'first': protocol: the protocol has no test" in said
     assert not (tmp_path / "pipelines").exists()
 
@@ -358,7 +366,7 @@ def test_a_pipeline_where_a_run_is_expected_is_told_with_its_runs(whole: Pipelin
             assert f"{whole.run_of(phase)} (phase '{phase['name']}')" in said
 
 
-def test_a_gate_on_the_way_tells_what_is_missing(watched: tuple[PipelineIndex, list[str]]):
+def test_a_gate_on_the_way_tells_what_is_missing(watched):
     assert [note for note in watched[1] if "second: gate" in note] == [
         "second: gate after 1 iterations passed",
         "second: gate after 2 iterations not passed: stand/survival is 0.2, but must be at least 0.5",
@@ -382,23 +390,27 @@ def test_a_pipeline_is_checked_as_training_it_would(declared_two):
     assert said.status == 2
     mistakes = json.loads(said.out)["mistakes"]
     assert [(mistake["key"], "phase" in mistake["message"]) for mistake in mistakes] == [("env.num_envs", False)]
-    said = refused("check", *declared_two, "pipeline.phases.first.gate.protocol=walk")
+    said = refused("check", *declared_two, "pipeline.phases.first.gate.protocol=walk", "pipeline.phases.second=null")
     assert "protocol 'walk' has no such metric" in said
 
 
-def test_what_a_phase_names_and_is_not_there_is_told_by_its_own_key(declared_two):
+def test_what_a_phase_names_and_is_not_there_is_told_by_its_own_key_and_line(declared_two):
     file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
-    lines = file.read_text().splitlines()
-    second = [number for number, line in enumerate(lines) if "task: stand" in line][1]
-    lines[second] = lines[second].replace("stand", "stnd")
-    file.write_text("\n".join(lines) + "\n")
-    said = refused("check", *declared_two)
-    assert "pipeline.phases.second.task: phase 'second': " in said
-    assert [word for word in (f"two.yaml:{second + 1})", "did you mean 'stand'?") if word not in said] == []
+    text = file.read_text().replace("env.rewards.alive.weight=1", "env.rewards.alive.weigth=1")
+    file.write_text(text.replace("task: stand", "task: stnd", 1))
+    task, overrides = (
+        next(n for n, line in enumerate(file.read_text().splitlines(), 1) if word in line)
+        for word in ("stnd", "weigth")
+    )
     word = "pipeline.phases.first.gate.protocol=wlk"
-    said = refused("check", *declared_two, "pipeline.phases.second.task=stand", word)
-    assert said.startswith("wheelleg: error: pipeline.phases.first.gate.protocol: phase 'first': ")
+    said = refused("check", *declared_two, word)
+    assert "pipeline.phases.first.task: phase 'first': " in said
+    assert [word for word in (f"two.yaml:{task})", "did you mean 'stand'?") if word not in said] == []
+    assert "pipeline.phases.first.gate.protocol: phase 'first': " in said
     assert f"(override {word})" in said
+    assert "pipeline.phases.second.overrides: phase 'second': env.rewards.alive.weigth: " in said
+    assert f"two.yaml:{overrides - 1})" in said, "where the list begins"
+    assert "did you mean 'env.rewards.alive.weight'?" in said
 
 
 def test_a_key_of_a_user_s_own_pipeline_is_explained(declared_two):

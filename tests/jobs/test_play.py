@@ -13,7 +13,7 @@ import pytest
 import torch
 import yaml
 
-from jobs.small import ITERATIONS, manifest
+from jobs.small import ITERATIONS, copied, manifest
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.jobs import play_policy as play_job
 from wheelleg_exp.jobs.job_display import Display
@@ -41,8 +41,13 @@ def plays(run):
     return sorted(run.play.iterdir()) if run.play.exists() else []
 
 
-def test_the_exported_policy_turns_recorded_observations_into_recorded_actions(run):
-    recording = Recording(played(run).recording)
+@pytest.fixture(scope="module")
+def recording(trained, tmp_path_factory):
+    """Return the recording of a play of the last checkpoint."""
+    return Recording(played(copied(trained, tmp_path_factory.mktemp("played"))).recording)
+
+
+def test_the_exported_policy_turns_recorded_observations_into_recorded_actions(run, recording):
     observations = recording.values("observations/policy").astype(np.float32)
     actions = recording.values("actions/raw")
     assert observations.shape == (len(actions), 135)
@@ -52,18 +57,17 @@ def test_the_exported_policy_turns_recorded_observations_into_recorded_actions(r
     np.testing.assert_allclose(found, actions, atol=1e-5)
 
 
-def test_an_earlier_checkpoint_gives_other_actions_its_own(run):
-    recording = Recording(played(run, iteration=0).recording)
-    x = recording.values("observations/policy").astype(np.float64)
+def test_an_earlier_checkpoint_gives_other_actions_its_own(run, recording):
+    earlier = Recording(played(run, iteration=0).recording)
+    x = earlier.values("observations/policy").astype(np.float64)
     weights = checkpoint.load(run.checkpoint(0))["actor_state_dict"]
     layers = sorted({name.rsplit(".", 1)[0] for name in weights if name.startswith("mlp")}, key=lambda n: n)
     for k, layer in enumerate(layers):
         x = x @ weights[f"{layer}.weight"].double().numpy().T + weights[f"{layer}.bias"].double().numpy()
         if k + 1 < len(layers):
             x = np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
-    np.testing.assert_allclose(recording.values("actions/raw"), x, atol=1e-5)
-    last = Recording(played(run).recording).values("actions/raw")
-    assert not np.allclose(last[0], recording.values("actions/raw")[0])
+    np.testing.assert_allclose(earlier.values("actions/raw"), x, atol=1e-5)
+    assert not np.allclose(recording.values("actions/raw")[0], earlier.values("actions/raw")[0])
 
 
 def test_figures_are_those_of_the_recorded_heights_and_pitches(run):
@@ -128,8 +132,8 @@ def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
 
 
 def test_plays_without_a_recording_have_none_and_do_not_share_a_folder(run):
-    made = [played(run, "env.num_envs=1", "recording.enabled=false") for _ in range(3)]
-    assert len({done.folder for done in made}) == 3
+    made = [played(run, "env.num_envs=1", "recording.enabled=false") for _ in range(2)]
+    assert len({done.folder for done in made}) == 2
     assert made[0].recording is None
     assert [p.name for p in made[0].folder.iterdir()] == ["figures.json"]
 
@@ -149,8 +153,9 @@ def test_a_term_that_is_null_is_played_without_as_in_training(run):
     def rewards(override):
         return Recording(played(run, "env.num_envs=2", "env.episode_length_s=0.1", override).recording).names("rewards")
 
-    assert rewards("env.rewards.alive=null") == rewards("~env.rewards.alive")
-    assert [name for name in rewards("seed=0") if name not in rewards("~env.rewards.alive")] == ["alive"]
+    removed = rewards("~env.rewards.alive")
+    assert rewards("env.rewards.alive=null") == removed
+    assert [name for name in rewards("seed=0") if name not in removed] == ["alive"]
 
 
 def test_a_run_that_is_removed_while_it_is_played_fails_the_play(run, monkeypatch):
@@ -172,22 +177,15 @@ def test_a_play_ends_when_the_last_first_episode_does(run):
     [
         ("env.num_evns=4", "env.num_evns"),
         ("env.num_envs=0", "env.num_envs"),
-        ("env.num_envs=four", "env.num_envs"),
         ("env.rewards.alive.wieght=1", "env.rewards.alive.wieght"),
-        ("env.rewards.alive.weight=heavy", "env.rewards.alive.weight"),
         ("env.rewards.alive._target_=os.system", "env.rewards.alive._target_"),
         ("env.rewards.base_height.target_height=null", "env.rewards.base_height.target_height"),
         ("env.robot.asset=other.usda", "env.robot.asset"),
-        ("env.robot.base=fixed", "env.robot.base"),
         ("env=5", "env"),
-        ("seed=x", "seed"),
         ("seed=-1", "seed"),
-        ("play.settle_s=x", "play.settle_s"),
         ("play.settle_s=-1", "play.settle_s"),
         ("recording.env_ids=[99]", "recording.env_ids"),
-        ("recording.enabled=perhaps", "recording.enabled"),
         ("recording.max_mb=-1", "recording.max_mb"),
-        ("recording.live=maybe", "recording.live"),
         ("agent.torch_threads=0", "agent.torch_threads"),
         ("agent.device=cuda", "agent.device"),
         ("agent.max_iterations=3", "agent.max_iterations"),

@@ -33,20 +33,37 @@ NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalizat
 TRAIN = ["train", *FEW, *NORMALISED]
 
 
+LONG = ["agent.max_iterations=1000000", "agent.save_interval=1000000"]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Run in two ranks: trainings of three and two iterations, one gradient step, a resume, and a mistake."""
+    """Run in two ranks: a mistake, trainings, one gradient step, a resume, then a stop by ctrl-c, and a death."""
     folder = tmp_path_factory.mktemp("ranks")
     commands = [
-        [*TRAIN, "agent.max_iterations=3", "run.root=straight"],
-        [*TRAIN, "agent.max_iterations=2", "run.root=parts"],
+        ["fork", "resume", "none", "--root", "parts"],
+        [*TRAIN, "agent.max_iterations=2", "run.root=straight"],
+        [*TRAIN, "agent.max_iterations=1", "run.root=parts"],
         ["train", *DESCENT, "run.root=descent"],
-        ["resume", "latest", "agent.max_iterations=3", "--root", "parts", "--json"],
-        ["resume", "none", "--root", "parts"],
+        ["resume", "latest", "agent.max_iterations=2", "--root", "parts", "--json"],
+        ["train", *FEW, *LONG, "run.root=long"],
+        ["resume", "latest", *LONG, "--root", "long"],
     ]
-    found = end(start(commands, folder))
-    assert [statuses for statuses, _, _ in found] == [[0, 0, 0, 0, 2], [0, 0, 0, 0, 3]], found
-    (folder / "said.json").write_text(json.dumps(found))
+    first, other = start(commands, folder)
+
+    def rows() -> int:
+        return sum(path.read_text().count("\n") for path in folder.glob("long/stand/*/iterations.jsonl"))
+
+    assert wait_until(lambda: rows() > 1 or first.poll() is not None)
+    first.send_signal(signal.SIGINT)  # The second process gets no signal.
+    run = only_run(folder / "long")
+    assert wait_until(lambda: manifest(run)["status"] == "interrupted" or first.poll() is not None)
+    stopped = rows()
+    assert wait_until(lambda: rows() > stopped or first.poll() is not None)
+    other.kill()
+    found = end([first, other])
+    assert [statuses for statuses, _, _ in found] == [[2, 0, 0, 0, 0, 130, 3], [3, 0, 0, 0, 0, 130]], found
+    (folder / "said.json").write_text(json.dumps([stopped, *found]))
     return folder
 
 
@@ -94,7 +111,7 @@ def test_the_gradient_is_the_mean_of_what_each_finds_alone(folder, tmp_path_fact
 
 def test_a_resumed_run_is_the_straight_one_to_the_bit(folder):
     straight, parts = only_run(folder / "straight"), only_run(folder / "parts")
-    for index in range(3):
+    for index in range(2):
         assert (straight / f"model_{index}.pt").read_bytes() == (parts / f"model_{index}.pt").read_bytes()
     assert [without_times(line) for line in lines(straight)] == [without_times(line) for line in lines(parts)]
     assert manifest(parts)["resumes"][0]["exact"] is True
@@ -102,13 +119,13 @@ def test_a_resumed_run_is_the_straight_one_to_the_bit(folder):
 
 def test_a_checkpoint_holds_the_environments_and_streams_of_each(folder):
     run = only_run(folder / "straight")
-    state = checkpoint.load(run / "model_2.pt")
+    state = checkpoint.load(run / "model_1.pt")
     (other,) = state["ranks"]
     assert set(other) == {"unsaved", "env", "log", "rng"}
     assert digests.of_state({"env": other["env"]}) != digests.of_state({"env": state["env"]})
-    assert digests.of_state(state) == lines(run)[2]["digests"]
+    assert digests.of_state(state) == lines(run)[1]["digests"]
     tampered = {**state, "ranks": [{**other, "log": {**other["log"], "return": other["log"]["return"] + 1}}]}
-    assert digests.of_state(tampered)["log"] != lines(run)[2]["digests"]["log"]
+    assert digests.of_state(tampered)["log"] != lines(run)[1]["digests"]["log"]
 
 
 def test_the_manifest_says_who_trained(folder):
@@ -120,8 +137,8 @@ def test_the_manifest_says_who_trained(folder):
 
 
 def test_what_one_process_says_and_writes_is_all(folder):
-    first, other = json.loads((folder / "said.json").read_text())
-    assert json.loads(first[1][first[1].index("\n{") :])["results"]["iterations"] == 3
+    _, first, other = json.loads((folder / "said.json").read_text())
+    assert json.JSONDecoder().raw_decode(first[1], first[1].index("\n{") + 1)[0]["results"]["iterations"] == 2
     assert "there is no run 'none'" in first[2]
     assert other[1:] == ["", ""]
     assert not [path for path in only_run(folder / "descent").iterdir() if "rank" in path.name]
@@ -146,23 +163,10 @@ def test_what_makes_several_runs_is_refused_under_torchrun(monkeypatch, words):
     assert "torchrun has started 2 processes" in refused("train", *words)
 
 
-def test_ctrl_c_stops_all_after_one_iteration_and_a_death_ends_the_others(tmp_path):
-    words = ["agent.max_iterations=1000000", "agent.save_interval=1000000"]
-    first, other = start([["train", *FEW, *words], ["resume", "latest", *words]], tmp_path)
-
-    def rows() -> int:
-        return sum(path.read_text().count("\n") for path in tmp_path.glob("runs/stand/*/iterations.jsonl"))
-
-    assert wait_until(lambda: rows() > 1 or first.poll() is not None)
-    first.send_signal(signal.SIGINT)  # The second process gets no signal.
-    run = only_run(tmp_path / "runs")
-    assert wait_until(lambda: manifest(run)["status"] == "interrupted" or first.poll() is not None)
-    stopped = rows()
-    assert wait_until(lambda: rows() > stopped or first.poll() is not None)
-    other.kill()
-    (statuses, _, err), _ = end([first, other])
-    assert statuses == [130, 3], err
+def test_ctrl_c_stops_all_after_one_iteration_and_a_death_ends_the_others(folder):
+    stopped, (_, _, err), _ = json.loads((folder / "said.json").read_text())
     assert "another process of the training has ended" in err.splitlines()[-1]
+    run = only_run(folder / "long")
     facts = manifest(run)
     assert (run / f"model_{stopped - 1}.pt").is_file()
     resume = facts["resumes"][0]

@@ -7,16 +7,15 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
+from threading import Event, Thread
 
 import pytest
-from patience import PATIENCE_S, wait_until
+from patience import wait_until
 
 from jobs.replays import ITERATIONS, LEANING, TERM, change_manifest, commit, digests, git, make_checkout, train
-from jobs.small import Words, manifest, wheelleg
+from jobs.small import Words, copied, manifest, wheelleg
 from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.run.source_snapshot import RECORD_NAME
 
@@ -28,30 +27,48 @@ version = "0.1.0"
 [project.entry-points."wheelleg_exp.packages"]
 lab_terms = "lab_terms"
 """
-PROJECT_TASK = LEANING.replace("leaning}", "lab_stand}").replace(
-    "wheelleg_exp.mdp.leaning.leaning", "lab_terms.leaning"
-)
+PROJECT_TASK = LEANING.replace("- stand", "- leaning").replace("name: leaning", "name: lab_stand")
+PROJECT_TASK = PROJECT_TASK.replace("{leaning: {_target_: wheelleg_exp.mdp.leaning", "{lab: {_target_: lab_terms")
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Return a folder with a run of a removed dirty tree and a fresh clone of its commit."""
+def place(trained, tmp_path_factory):
+    """Return a folder with a run, and fresh clones of its three dirty repositories; all that it was made of is gone."""
     place = tmp_path_factory.mktemp("replay")
-    checkout = make_checkout(place / "theirs")
+    checkout, lab, helpers = make_checkout(place / "theirs"), place / "lab", place / "helpers"
     (checkout / "configs" / "task" / "leaning.yaml").write_text(LEANING)
     (checkout / "wheelleg_exp" / "mdp" / "leaning.py").write_text(TERM)
     with (checkout / "configs" / "task" / "stand.yaml").open("a") as file:
         file.write("# a note\n")
-    run = train(checkout, "task=leaning", "run.name=first", root=checkout / "runs")
-    git(place, "clone", "-q", str(checkout), str(place / "mine"))
+    for folder in (lab / "configs" / "task", lab / "lab_terms", helpers):
+        folder.mkdir(parents=True)
+    (lab / "pyproject.toml").write_text(PROJECT)
+    (lab / "configs" / "task" / "lab_stand.yaml").write_text(PROJECT_TASK)
+    (lab / "lab_terms" / "__init__.py").write_text("")
+    commit(lab)
+    (lab / "lab_terms" / "__init__.py").write_text(
+        "from replay_helper import FACTOR\n" + TERM.replace("1.25", "FACTOR")
+    )
+    (helpers / "replay_helper.py").write_text("FACTOR = 1.25\n")
+    commit(helpers)
+    words = ("task=lab_stand", "run.name=first", f"init_from={copied(trained, place).path}")
+    run = train(checkout, *words, root=checkout / "runs", options=("--config-dir", str(lab)), path=helpers)
     shutil.move(run, place / "handed_over")
-    shutil.rmtree(checkout)
+    for folder in (checkout, lab, helpers):
+        git(place, "clone", "-q", str(folder), f"{folder}_clone")
+        shutil.rmtree(folder)
+    shutil.rmtree(place / "runs")
     return place
 
 
 @pytest.fixture
-def clone(place):
-    return place / "mine"
+def clones(place):
+    return [place / f"{name}_clone" for name in ("theirs", "lab", "helpers")]
+
+
+@pytest.fixture
+def clone(clones):
+    return clones[0]
 
 
 @pytest.fixture
@@ -74,6 +91,10 @@ def replay(run: Path, *words: str | Path) -> tuple[Words, dict]:
     return said, json.loads(said.out) if said.out else {}
 
 
+def of(repositories: list[Path]) -> list[str]:
+    return [word for path in repositories for word in ("--repository", str(path))]
+
+
 def change_record(run: Path, **changes: object) -> None:
     path = run / "source" / RECORD_NAME
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
@@ -83,26 +104,30 @@ def lines_of(run: Path) -> list[str]:
     return (run / "iterations.jsonl").read_text().splitlines(keepends=True)
 
 
-def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(place, clone, tmp_path, scratch):
+def test_a_run_of_dirty_trees_repeats_to_the_bit_on_fresh_clones_elsewhere(place, clones, tmp_path, scratch):
     run = place / "handed_over"
-    before = digests(run), digests(clone)
-    said, found = replay(run, "--repository", clone)
+    before = [digests(folder) for folder in (run, *clones)]
+    said, found = replay(run, *of(clones))
     assert said.status == 0, said.err
     assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("identical", ITERATIONS, True)
     assert said.err.startswith("replay runs the code of commit ")
     assert "plus the run's patch" in said.err.splitlines()[0]
     assert f"training {ITERATIONS}/{ITERATIONS}" in said.err
     assert found["composed"] == {"equal": True, "difference": None}
-    assert (found["asset"], (digests(run), digests(clone))) == ({"converted": True, "note": None}, before)
+    assert [tree["how"] for tree in found["source"]] == ["restored"] * 3
+    assert [tree["origin"] for tree in found["source"]] == [str(path) for path in clones]
+    assert found["asset"] == {"converted": True, "note": None}
+    assert [digests(folder) for folder in (run, *clones)] == before
     assert not list(scratch.glob("wheelleg*"))
 
     new = Path(found["replay"])
-    assert new.parent == tmp_path / "runs" / "replays" / "leaning"
+    assert new.parent == tmp_path / "runs" / "replays" / "lab_stand"
     assert new.name.endswith("_0_first_replay")
     for k in range(ITERATIONS):
         assert (new / f"model_{k}.pt").read_bytes() == (run / f"model_{k}.pt").read_bytes(), k
     old, made = manifest(run), manifest(new)
     assert (made["status"], made["replay_of"]) == ("finished", old["id"])
+    assert made["init_from"]["kept_sha256"] == old["init_from"]["kept_sha256"]  # The other run is gone.
     assert made["replay"]["snapshot"]["source/source.patch"] == old["files"]["source/source.patch"]["sha256"]
     assert (made["replay"]["asset"], made["replay"]["composed"]) == (found["asset"], found["composed"])
     assert made["additions"][-1]["results"]["verdict"] == "identical"
@@ -111,7 +136,7 @@ def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(pla
     assert "configs/task/leaning.yaml" in records[0]["untracked"]
 
 
-def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
+def test_other_code_in_the_patch_is_found(run, clones, clone, tmp_path, scratch):
     patch = run / "source" / "source.patch"
     forged = patch.read_bytes().replace(b"1.25", b"1.75")
     assert forged != patch.read_bytes()
@@ -124,7 +149,7 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
     identity["sources"] = dict.fromkeys(identity["sources"], "0" * 64)
     (run / "asset" / "asset.json").write_text(json.dumps(identity))
     change_manifest(run)
-    said, found = replay(run, "--repository", clone, "--iterations", "2", "--keep")
+    said, found = replay(run, *of(clones), "--iterations", "2", "--keep")
     assert said.status == 1, said.err
     assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("different", 2, False)
     assert found["comparison"]["first_divergence"]["iteration"] == 0
@@ -138,7 +163,7 @@ def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
     assert [path.name for path in kept.parent.iterdir()] == ["source"]
 
 
-def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
+def test_a_killed_run_is_replayed_as_far_as_it_came(run, clones):
     (run / "iterations.jsonl").write_text("".join(lines_of(run)[:2]) + lines_of(run)[2][:40])
     for name in ("model_2.pt", "exported", "recording.rrd"):
         path = run / name
@@ -154,7 +179,7 @@ def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
         versions=made["versions"] | {"torch": "1.0.0"},
         environment_variables=made["environment_variables"] | {"OMP_NUM_THREADS": "1", "LD_PRELOAD": "their.so"},
     )
-    said, found = replay(run, "--repository", clone)
+    said, found = replay(run, *of(clones))
     assert "differs: torch was 1.0.0, is " in said.err
     assert "OMP_NUM_THREADS" not in said.err
     assert "differs: LD_PRELOAD was their.so, is None" in said.err
@@ -168,56 +193,26 @@ def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
     assert (new / "model_1.pt").read_bytes() == (run / "model_1.pt").read_bytes()
 
 
-def test_a_run_with_a_project_of_the_users_own_is_replayed_from_all_its_sources(clone, tmp_path):
-    lab, helpers = tmp_path / "lab", tmp_path / "helpers"
-    for folder in (lab / "configs" / "task", lab / "lab_terms", helpers):
-        folder.mkdir(parents=True)
-    (lab / "pyproject.toml").write_text(PROJECT)
-    (lab / "configs" / "task" / "lab_stand.yaml").write_text(PROJECT_TASK)
-    (lab / "lab_terms" / "__init__.py").write_text("")
-    commit(lab)
-    (lab / "lab_terms" / "__init__.py").write_text(
-        "from replay_helper import FACTOR\n" + TERM.replace("1.25", "FACTOR")
-    )
-    (helpers / "replay_helper.py").write_text("FACTOR = 1.25\n")
-    commit(helpers)
-    words = ("task=lab_stand", "agent.max_iterations=1")
-    made = train(clone, *words, root=tmp_path / "made", options=("--config-dir", str(lab)), path=helpers)
-    clones = [clone]
-    for folder in (lab, helpers):
-        clones.append(tmp_path / f"{folder.name}_clone")
-        git(tmp_path, "clone", "-q", str(folder), str(clones[-1]))
-        shutil.rmtree(folder)
-    said, found = replay(made, *(word for path in clones for word in ("--repository", path)))
-    assert said.status == 0, said.err
-    assert found["verdict"] == "identical"
-    assert found["composed"]["equal"] is True
-    assert [tree["how"] for tree in found["source"]] == ["restored"] * 3
-    assert [tree["origin"] for tree in found["source"]] == [str(path) for path in clones]
-
-
-def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clone, tmp_path, scratch):
+def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clones, tmp_path, scratch):
     line = json.loads(lines_of(run)[-1])
     with (run / "iterations.jsonl").open("a") as file:
-        file.writelines(json.dumps({**line, "iteration": k}) + "\n" for k in range(ITERATIONS, 20000))
-    command = [sys.executable, "-m", "wheelleg_exp.cli.main", "replay", str(run), "--repository", str(clone)]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    try:
-        logs = "runs/replays/leaning/*/iterations.jsonl"
+        file.writelines(json.dumps({**line, "iteration": k}) + "\n" for k in range(ITERATIONS, 2000))
+    over, logs = Event(), "runs/replays/lab_stand/*/iterations.jsonl"
 
-        def has_begun() -> bool:
-            return any(len(path.read_text().splitlines()) > 2 for path in tmp_path.glob(logs))
+    def interrupt() -> None:
+        wait_until(lambda: over.is_set() or any(path.read_text() for path in tmp_path.glob(logs)))
+        if not over.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
 
-        assert wait_until(lambda: has_begun() or process.poll() is not None), "the training does not begin"
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=PATIENCE_S)
-    finally:
-        process.kill()
-        process.wait()
-    assert process.returncode == 130, err
-    assert "Traceback" not in err
+    thread = Thread(target=interrupt)
+    thread.start()
+    said = wheelleg("replay", run, *of(clones))
+    over.set()
+    thread.join()
+    assert said.status == 130, said.err
+    assert "Traceback" not in said.err
     assert not list(scratch.glob("wheelleg*"))
-    (new,) = tmp_path.glob("runs/replays/leaning/*/manifest.json")
+    (new,) = tmp_path.glob("runs/replays/lab_stand/*/manifest.json")
     assert json.loads(new.read_text())["status"] == "interrupted"
     assert os.path.lexists(new.parent / ".lock")
     with pytest.raises(ProcessLookupError):
@@ -239,7 +234,7 @@ SNAPSHOT = (".hydra/config.yaml", "params/env.yaml", "source/source.patch", "ass
 REFUSED = [(_change(name), f"{name} is not what the manifest recorded", ()) for name in SNAPSHOT]
 REFUSED += [(lambda run: None, "from 1 to the 3 that the run has", ("--iterations", number)) for number in ("0", "4")]
 REFUSED += [
-    (lambda run: (run / "source/source_2.patch").touch(), "manifest lacks the file source/source_2.patch", ()),
+    (lambda run: (run / "source/source_9.patch").touch(), "manifest lacks the file source/source_9.patch", ()),
     (lambda run: (run / "params/agent.yaml").unlink(), "params/agent.yaml is missing", ()),
     (lambda run: change_manifest(run, status="running", process=this_process()), "is still running", ()),
 ]
@@ -268,7 +263,7 @@ def test_a_source_that_was_not_kept_is_told(run, clone):
     )
 
 
-def test_code_from_before_replays_is_told(run, tmp_path):
+def test_code_from_before_replays_is_told(run, clones, tmp_path):
     old = tmp_path / "old"
     (old / "wheelleg_exp").mkdir(parents=True)
     (old / "wheelleg_exp" / "__init__.py").write_text("")
@@ -277,4 +272,4 @@ def test_code_from_before_replays_is_told(run, tmp_path):
     facts = {"commit": git(old, "rev-parse", "HEAD"), "tree": git(old, "rev-parse", "HEAD^{tree}"), "patch_bytes": 0}
     change_record(run, **facts, patch_sha256=hashlib.sha256(b"").hexdigest())
     change_manifest(run)
-    assert "is too old for a replay" in refused(run, "--repository", old)
+    assert "is too old for a replay" in refused(run, *of([old, *clones]))

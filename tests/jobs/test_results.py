@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from jobs.small import copied, succeed
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import write_json, write_text
@@ -35,16 +36,20 @@ pytestmark = pytest.mark.train
 
 FOLDER = configs_dir().parent / "docs" / "results"
 
-SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=1.1", "protocol.stand.survival_s=[0.5]")
+SHORT = ("protocol.stand={episodes:3,horizon_s:1.1,survival_s:[0.5]}", "protocol.resamples=50")
+
+
+@pytest.fixture(scope="module")
+def first(trained, tmp_path_factory) -> Path:
+    """Write a result of a copy of the run once."""
+    root = tmp_path_factory.mktemp("first")
+    succeed("results", "small", copied(trained, root).path, *SHORT, "--reference", "--into", root / "results")
+    return root
 
 
 @pytest.fixture
-def written(run, tmp_path, capsys):
-    folder = tmp_path / "results"
-    words = ["results", "small", str(run.path), *SHORT, "protocol.resamples=50", "--reference", "--into", str(folder)]
-    assert main(words) == 0
-    capsys.readouterr()
-    return folder
+def written(first, tmp_path):
+    return shutil.copytree(first / "results", tmp_path / "results")
 
 
 def rewritten(folder, record) -> None:
@@ -182,9 +187,9 @@ def test_only_results_are_made_again_and_all_are_looked_for_before_any_is(writte
 
 
 def test_what_two_results_share_is_trained_once(run, written, capsys, monkeypatch):
-    assert main(["results", "other", str(run.path), *SHORT, "protocol.resamples=50", "--into", str(written)]) == 0
-    trained, train = [], again_of._train
-    monkeypatch.setattr(again_of, "_train", lambda *given: trained.append(given) or train(*given))
+    assert main(["results", "other", str(run.path), *SHORT, "--into", str(written)]) == 0
+    trained = []
+    monkeypatch.setattr(again_of, "_train", lambda *given: trained.append(given) or str(run.path))
     status, told = again(written, capsys, "other")
     assert (status, len(trained)) == (0, 1)
     verdicts = ["small: reproduced to the bit", "other: reproduced to the bit"]
@@ -210,13 +215,13 @@ def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, on
     assert told.endswith("on the same kind of machine with the same versions and source\n")
 
 
-def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
+def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, first, written):
     page, record = (written / "small.md").read_text(), json.loads((written / "small.json").read_text())
     assert f"SHA-256 `{record['scenarios_sha256'][:16]}" in page
     assert [word for word in ("| survival |", "\nwheelleg train env.num_envs=16 ") if word not in page] == []
     manifest = json.loads((written / "small" / f"{run.id}.json").read_text())
     assert manifest["files"]["model_2.pt"] == run.manifest().data["files"]["model_2.pt"]
-    assert str(run.path.parent) not in (page + json.dumps(record) + json.dumps(manifest))
+    assert str(first) not in (page + json.dumps(record) + json.dumps(manifest))
 
 
 def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written):
@@ -226,7 +231,7 @@ def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_no
     for name in ("another", "own", "../outside", "folder.json/in"):
         (written / "small" / f"{name}.json").parent.mkdir(exist_ok=True)
         write_json(written / "small" / f"{name}.json", {})
-    words = ["results", "small", str(run.path), *SHORT, "protocol.resamples=50", "--into", str(written)]
+    words = ["results", "small", str(run.path), *SHORT, "--into", str(written)]
     assert (main(words), {path.stem for path in (written / "small").iterdir()}) == (0, {run.id, "own", "folder"})
     assert (written / "outside.json").is_file()
 

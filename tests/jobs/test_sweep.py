@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import joblib  # noqa: F401 - importing joblib sets KMP_INIT_AT_FORK, which environment.txt contains
 import pytest
 from patience import PATIENCE_S, wait_until
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.lint.diagnosis import OF_ROBOT, case_of_file
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Case, Finding
@@ -57,11 +60,15 @@ def seeded(*changes: tuple[str, str], everywhere: bool = False) -> str:
     return text
 
 
+stock = cache(lambda: compose(["task=stand"]))
+case_of = patch("wheelleg_exp.lint.diagnosis.compose", lambda _: stock())(case_of_file)
+
+
 def patient(folder: Path, text: str = HEALTHY, **sections: Mapping[str, Any]) -> Case:
     """Return the lint case of a robot, with replaced sections of ``env``."""
     file = folder / "robot.xml"
     file.write_text(text)
-    case = case_of_file(file)
+    case = case_of(file)
     return replace(case, config={**case.config, "env": {**case.env, **sections}})
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from lint.cases import found, joints, term
-from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, patient, seeded
+from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, case_of, patient, seeded
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps
 from wheelleg_exp.anatomy.compiled_robot import Drive
 from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
-from wheelleg_exp.lint.diagnosis import _drives_of_mjcf, case_of_file, diagnose_file, notes_on
+from wheelleg_exp.lint.diagnosis import _drives_of_mjcf, diagnose_file, notes_on
 from wheelleg_exp.paths import assets_dir
 
 TRUNK = '<inertial pos="0 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>'
@@ -339,7 +339,7 @@ BOX = '<box size="0.3 0.3 0.3"/>'
 def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1, effort=1):
     file = folder / "robot.urdf"
     file.write_text(URDF.format(inertial=inertial, shape=shape, low=low, effort=effort))
-    return case_of_file(file)
+    return case_of(file)
 
 
 def test_missing_meshes_masses_and_limits_of_a_file_are_found(tmp_path):

@@ -87,7 +87,7 @@ LINES = [
     Line(f"random-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     # --- training ---
     Line(f"train task=mine {MINE} --json {BRIEF}", '"finished"', "runs/stand", marks=TRAINED),
-    Line(f"train --multirun seed=1,2 {BRIEF}", "2 of 2 jobs finished", "runs/sweeps", marks=TRAINED),
+    Line(f"train --multirun seed=1 {BRIEF}", "1 of 1 jobs finished", "runs/sweeps", marks=TRAINED),
     Line(f"resume {{run}} {ELSEWHERE} {MINE} --json agent.max_iterations=5", '"iterations": 5', marks=TRAINED),
     Line(f"replay {{run}} {ELSEWHERE} --repository {{here}} --iterations 1 --keep --json", '"kept": "', marks=TRAINED),
 ]
@@ -106,11 +106,11 @@ _URDF = f"""<robot name="cart">
 
 
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
+def files(tmp_path, tmp_path_factory, monkeypatch) -> Iterator[dict[str, str]]:
     here, elsewhere = tmp_path / "here", tmp_path / "here" / "elsewhere"
     here.mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.getbasetemp() / "wheelleg-cache"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # A replay restores the source in this folder.
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     run = unpack(elsewhere / "runs")

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-import textwrap
+import resource
+import signal
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from patience import PATIENCE_S
 from recording.conftest import STEPS, Account, record, roll_out
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
@@ -260,38 +258,29 @@ def test_environments_that_do_not_exist_are_refused_before_a_file_is_made(record
     assert not (tmp_path / "r.rrd").exists()
 
 
-def test_a_full_disk_fails_the_run_with_one_message(mjcf, tmp_path):
-    path = tmp_path / "r.rrd"
-    code = f"""
-        import resource, signal
-        import torch
-        from pathlib import Path
-        from wheelleg_exp.config.composing.compose import compose
-        from wheelleg_exp.env import ManagerBasedRLEnv
-        from wheelleg_exp.errors import SimulationFailure
-        from wheelleg_exp.recording.writing.recorder import Recorder
-        config = compose(["task=stand", "env.num_envs=2"]).config
-        env = ManagerBasedRLEnv(config["env"], Path({str(mjcf)!r}), 0)
-        env.reset(seed=0)
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        recorder = Recorder(Path({str(path)!r}), env, recording_id="r", name="n", env_ids=[0], purpose="play")
-        size = Path({str(path)!r}).stat().st_size
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 5000, size + 5000))
-        env.observers.append(recorder.capture)
-        try:
-            with recorder:
-                recorder.start(steps=50)
-                for i in range(60):
-                    env.step(torch.zeros(2, 6))
-        except SimulationFailure as error:
-            assert env.common_step_counter == 50
-            print(error)
-    """
-    words = [sys.executable, "-c", textwrap.dedent(code)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"cannot write the recording '{path}': ")
-    assert "expected room on a working disk" in done.stdout
+def test_a_full_disk_fails_the_run_with_one_message(make_env, tmp_path):
+    path, env = tmp_path / "r.rrd", make_env(num_envs=2)
+    env.reset(seed=0)
+    recorder = Recorder(path, env, recording_id="r", name="n", env_ids=[0], purpose="play")
+    env.observers.append(recorder.capture)
+
+    def write_all() -> None:
+        with recorder:
+            recorder.start(steps=50)
+            for _ in range(60):
+                env.step(torch.zeros(2, 6))
+
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 5000, before[1]))
+        with pytest.raises(SimulationFailure) as caught:
+            write_all()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert env.common_step_counter == 50
+    assert str(caught.value).startswith(f"cannot write the recording '{path}': ")
+    assert "expected room on a working disk" in str(caught.value)
     assert SimulationFailure.exit_code == 3
 
 

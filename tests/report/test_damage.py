@@ -62,16 +62,16 @@ def test_a_damaged_recording_is_reported_in_its_section(page, run, content):
         assert expected in text
 
 
-@pytest.mark.parametrize("value", [None, 1, "x", [1], ["x"], {"a": 1}, [{"a": 1}], 1e400], ids=repr)
-def test_there_is_a_page_for_every_content_of_a_manifest(run, monkeypatch, value):
+@pytest.mark.parametrize(("number", "value"), enumerate([None, 1, "x", [1], ["x"], {"a": 1}, [{"a": 1}], 1e400]))
+def test_there_is_a_page_for_every_content_of_a_manifest(run, monkeypatch, number, value):
     for part in ("settings", "learning"):
         monkeypatch.setattr(f"wheelleg_exp.report.report_page.{part}", None)
     whole = run.manifest().data
     kept = {"format", "status", "started", "files"}  # A manifest must have these keys.
-    changes = [{key: value} for key in whole.keys() - kept]
+    changes = [{key: value} for key in sorted(whole.keys() - kept)]
     play = {"kind": "play", "files": {}}
     changes += [{"additions": [{**play, "results": {**FIGURES, key: value}}]} for key in FIGURES]
-    for change in changes:
+    for change in changes[number % 2 :: 2]:
         subject = open_subject(run.path, run.root)
         subject.manifest = {**whole, **change}
         html = render_page(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))

@@ -108,35 +108,34 @@ def policy(*hidden):
     gaussian = {"class_name": "GaussianDistribution", "init_std": 1.0}
     return MLPModel(observations, {"actor": ["policy"]}, "actor", 3, hidden, "elu", True, gaussian)
 
-for hidden in json.loads(sys.argv[1]):
+for hidden, folder in zip(json.loads(sys.argv[1]), map(Path, sys.argv[2:]), strict=True):
     made = policy(*hidden).eval()
     script, graph = export.torchscript(made), export.onnx(made)
+    (folder / "policy.pt").write_bytes(script)
+    (folder / "policy.onnx").write_bytes(graph)
 x = torch.randn(7, 9, generator=torch.Generator().manual_seed(1))
 loaded = torch.jit.load(io.BytesIO(script))
 assert torch.equal(loaded(x), made.as_jit()(x)) and not loaded.training
 assert set(loaded.state_dict()) == set(made.as_jit().state_dict())
 loaded.reset()
-Path(sys.argv[2]).write_bytes(script)
-Path(sys.argv[3]).write_bytes(graph)
 """
 
 
-def exported_elsewhere(folder: Path, hash_seed: int, *hidden: list[int]) -> RunDirectory:
-    """Return a run directory with an exported policy; a child process exports several policies in turn."""
-    run = RunDirectory(folder)
-    run.exported.mkdir(parents=True)
-    files = [run.exported / name for name in ("policy.pt", "policy.onnx")]
-    command = [sys.executable, "-W", "ignore", "-c", _EXPORT, json.dumps(hidden), *files]
+def exported_elsewhere(folder: Path, hash_seed: int, *hidden: list[int]) -> list[RunDirectory]:
+    """Return run directories with exported policies; a child process exports the policies in turn."""
+    runs = [RunDirectory(folder / str(number)) for number in range(len(hidden))]
+    for run in runs:
+        run.exported.mkdir(parents=True)
+    command = [sys.executable, "-W", "ignore", "-c", _EXPORT, json.dumps(hidden), *(run.exported for run in runs)]
     subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": str(hash_seed)}, check=True, timeout=PATIENCE_S)
-    return run
+    return runs
 
 
 def test_what_is_exported_depends_neither_on_the_process_nor_on_what_it_exported_before(tmp_path):
-    first = exported_elsewhere(tmp_path / "first", 1, [8, 8, 6])
-    other = exported_elsewhere(tmp_path / "other", 3, [4], [16, 8], [8, 8, 6])
+    (first,) = exported_elsewhere(tmp_path / "first", 1, [8, 8, 6])
+    _, wider, other = exported_elsewhere(tmp_path / "other", 3, [4], [8, 8, 8], [8, 8, 6])
     assert (first.exported / "policy.onnx").read_bytes() == (other.exported / "policy.onnx").read_bytes()
     assert exported_part(first, other).state == "equal"
-    wider = exported_elsewhere(tmp_path / "wider", 1, [8, 8, 8])
     assert exported_part(first, wider).state == "different"
 
 

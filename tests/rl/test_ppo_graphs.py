@@ -16,7 +16,7 @@ from wheelleg_exp.rl.ppo_graphs import CapturedUpdate, can_capture_update, is_pl
 pytestmark = pytest.mark.slow
 
 DEVICE = os.environ.get("WHEELLEG_TEST_DEVICE", "cpu")
-UPDATES = 4
+UPDATES = 3
 
 
 def updated(trainer, update) -> tuple[list[dict], list[float]]:

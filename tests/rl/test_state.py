@@ -55,23 +55,23 @@ def test_a_restored_trainer_has_the_same_values_everywhere(make_trainer, kind, t
     assert differing(Crawl(trainer), Crawl(other)) == []
 
 
-@pytest.mark.parametrize(
-    ("kind", "spoil"),
-    [
-        ("rnd", lambda state: state["unsaved"]["rnd"].update(update_counter=0)),
-        ("rnd", lambda state: state["unsaved"]["rnd"]["average"].add_(1.0)),
-        ("recurrent", lambda state: state["unsaved"]["hidden"]["actor"][0].add_(0.1)),
-        ("plain", lambda state: state["optimizer_state_dict"]["state"][0]["exp_avg"].add_(1e-3)),
-        ("plain", lambda state: state["log"]["return"].add_(1.0)),
-        ("plain", lambda state: state["env"]["managers"]["rewards"]["episode_sums"].add_(1.0)),
-    ],
-)
-def test_each_part_matters(make_trainer, kind, spoil):
+SPOILS = [
+    ("rnd", lambda state: state["unsaved"]["rnd"].update(update_counter=0)),
+    ("rnd", lambda state: state["unsaved"]["rnd"]["average"].add_(1.0)),
+    ("recurrent", lambda state: state["unsaved"]["hidden"]["actor"][0].add_(0.1)),
+    ("plain", lambda state: state["optimizer_state_dict"]["state"][0]["exp_avg"].add_(1e-3)),
+    ("plain", lambda state: state["log"]["return"].add_(1.0)),
+    ("plain", lambda state: state["env"]["managers"]["rewards"]["episode_sums"].add_(1.0)),
+]
+
+
+@pytest.mark.parametrize("kind", ["rnd", "recurrent", "plain"])
+def test_each_part_matters(make_trainer, kind):
     trainer = make_trainer(*KINDS[kind])
     list(trainer.learn(until=1))
     state_bytes = checkpoint.serialize(trainer.state_dict())
     ends = []
-    for change in (lambda _: None, spoil):
+    for change in (lambda _: None, *(spoil for of, spoil in SPOILS if of == kind)):
         state = torch.load(io.BytesIO(state_bytes), weights_only=True)
         change(state)
         trainer = make_trainer(*KINDS[kind])
@@ -79,7 +79,7 @@ def test_each_part_matters(make_trainer, kind, spoil):
         before = digests.of_state(trainer.state_dict())
         (done,) = trainer.learn(until=2)
         ends.append((before, without_times(done)))
-    assert all(first != second for first, second in zip(*ends, strict=True))
+    assert [end for end in ends[1:] if end[0] == ends[0][0] or end[1] == ends[0][1]] == []
 
 
 def test_a_checkpoint_of_the_first_version_can_be_played_and_not_resumed(make_trainer, tmp_path):

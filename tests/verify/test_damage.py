@@ -32,8 +32,8 @@ def pair(copy_run):
     return runs
 
 
-def damaged(damage, *runs):
-    for name in inventory(runs[0].path):
+def damaged(damage, *runs, part=slice(None)):
+    for name in [*inventory(runs[0].path)][part]:
         whole = [(run.path / name, (run.path / name).read_bytes()) for run in runs]
         for path, _ in whole:
             DAMAGES[damage](path)
@@ -62,9 +62,10 @@ def test_the_table_holds_every_kind_of_file(pair):
 CASES = [("missing", "A"), *((damage, "B") for damage in DAMAGES), ("missing", "AB"), ("flipped", "AB")]
 
 
-@pytest.mark.parametrize(("damage", "sides"), CASES)
-def test_two_runs_of_which_a_file_is_damaged_are_different_and_the_file_and_its_run_are_named(pair, damage, sides):
-    for name in damaged(damage, *(pair["AB".index(side)] for side in sides)):
+@pytest.mark.parametrize(("number", "case"), enumerate(CASES))
+def test_two_runs_of_which_a_file_is_damaged_are_different_and_the_file_and_its_run_are_named(pair, number, case):
+    damage, sides = case
+    for name in damaged(damage, *(pair["AB".index(side)] for side in sides), part=slice(number % 2, None, 2)):
         status, out, err = wheelleg("verify", pair[0].path, pair[1].path)
         assert (status, err) == (1, ""), (name, out, err)
         lines = out.splitlines()

@@ -66,26 +66,26 @@ def test_distances_to_a_plane_are_those_of_its_formula(make):
     assert along.max() > 1.3 * along.min()
 
 
-@pytest.mark.parametrize("kind", ["distance_to_image_plane", "distance_to_camera"])
-def test_each_pixel_shows_a_point_of_its_surface(make, kind):
+def test_each_pixel_shows_a_point_of_its_surface(make):
     optics = {"focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 40.0}
     shift = {"horizontal_aperture_offset": 0.15, "vertical_aperture_offset": -0.1}
-    env = make(STEP, data_types=[kind, "instance_id_segmentation_fast"], **optics, **shift)
+    kinds = ["distance_to_image_plane", "distance_to_camera"]
+    env = make(STEP, data_types=[*kinds, "instance_id_segmentation_fast"], **optics, **shift)
     data = place(env, [3.8, 0.6, 1.6], roll=0.1, pitch=0.1, yaw=0.4)
-    labels = data.info["instance_id_segmentation_fast"]["idToLabels"]
-    number = {name: key for key, name in labels.items()}
-    geom, seen = data.output["instance_id_segmentation_fast"][..., 0], points(data, kind)
-    low, step = seen[geom == number["ground"]], seen[geom == number["ground/step"]]
-    assert min(len(low), len(step)) > 300
-    torch.testing.assert_close(low[:, 2], torch.zeros(len(low)), atol=1e-3, rtol=0)
-    assert torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0).min() > -1e-3
-    is_top = (step[:, 2] - 0.25).abs() < 1e-3
-    top, side = step[is_top], step[~is_top]
-    assert len(top) > 200
-    assert len(side) > 10
-    assert top[:, 0].min() > 3.999
-    assert top[:, 1].max() < 1.001
-    assert torch.stack(((side[:, 0] - 4.0).abs(), (side[:, 1] - 1.0).abs())).amin(dim=0).max() < 1e-3
+    number = {name: key for key, name in data.info["instance_id_segmentation_fast"]["idToLabels"].items()}
+    geom = data.output["instance_id_segmentation_fast"][..., 0]
+    for seen in (points(data, kind) for kind in kinds):
+        low, step = seen[geom == number["ground"]], seen[geom == number["ground/step"]]
+        assert min(len(low), len(step)) > 300
+        torch.testing.assert_close(low[:, 2], torch.zeros(len(low)), atol=1e-3, rtol=0)
+        assert torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0).min() > -1e-3
+        is_top = (step[:, 2] - 0.25).abs() < 1e-3
+        top, side = step[is_top], step[~is_top]
+        assert len(top) > 200
+        assert len(side) > 10
+        assert top[:, 0].min() > 3.999
+        assert top[:, 1].max() < 1.001
+        assert torch.stack(((side[:, 0] - 4.0).abs(), (side[:, 1] - 1.0).abs())).amin(dim=0).max() < 1e-3
 
 
 @pytest.mark.parametrize(

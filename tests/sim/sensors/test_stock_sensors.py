@@ -1,3 +1,5 @@
+import copy
+
 import pytest
 import torch
 
@@ -12,17 +14,14 @@ NAMES = [
 ]
 
 
-def _env(name: str):
-    env = build_env(compose_valid(["task=stand", "env.num_envs=2", f"+sensor@env.scene.sensors={name}"]).config)
-    env.reset()
-    return env
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_it_measures_finite_numbers_and_goes_on_from_its_state(name, request):
     if name in DRAWN:
         request.getfixturevalue("graphics")
-    env, other = _env(name), _env(name)
+    config = compose_valid(["task=stand", "env.num_envs=2", f"+sensor@env.scene.sensors={name}"]).config
+    env, other = (build_env(copy.deepcopy(config)) for _ in range(2))
+    other.reset()
+    env.reset()
     for _ in range(3):
         env.step(torch.zeros(2, env.action_manager.total_action_dim))
     other.load_state_dict(env.state_dict())
