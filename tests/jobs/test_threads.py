@@ -26,41 +26,44 @@ pytestmark = pytest.mark.slow
 AGENT = {"torch_threads": 2, "device": "cpu", "algorithm": {"num_mini_batches": 4}}
 
 
-def elsewhere(before: str, **variables: str) -> dict:
-    """Return the thread facts that a child process records after some code."""
-    code = f"{before}\nimport json\nfrom wheelleg_exp.jobs.torch_threads import set_threads, thread_notes\n"
-    code += f"found = set_threads({AGENT!r}, 1, samples=12288)\nprint(json.dumps([found, thread_notes(found)]))"
-    environ = {k: v for k, v in os.environ.items() if k not in cores.VARIABLES} | variables
-    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
-    found, notes = json.loads(done.stdout)
-    return {**found, "notes": notes}
+def elsewhere(before: str, *cases: str) -> list[dict]:
+    """Return the thread facts that a child process records after some code: one fork for each case."""
+    code = f"""{before}
+import json, os, sys
+from wheelleg_exp.jobs.torch_threads import set_threads, thread_notes
+for case in sys.argv[1:]:
+    if os.fork() == 0:
+        exec(case)
+        found = set_threads({AGENT!r}, 1, samples=12288)
+        print(json.dumps({{**found, "notes": thread_notes(found)}}), flush=True)
+        os._exit(0)
+    os.wait()
+"""
+    environ = {k: v for k, v in os.environ.items() if k not in cores.VARIABLES}
+    command = [sys.executable, "-c", code, *cases]
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def test_a_normal_start_is_in_force_and_says_nothing():
-    found = elsewhere("from wheelleg_exp.machine import prepare_threads; prepare_threads()")
+    (found,) = elsewhere("from wheelleg_exp.machine import prepare_threads; prepare_threads()", "")
     assert (found["torch"], found["physics"], found["variables_in_time"]) == (2, 1, True)
     assert found["mkl"]["strict"] is True
     assert (found["independent"], found["notes"]) == (True, [])
 
 
-def test_torch_imported_before_is_in_time_for_mkl_and_too_late_for_openmp():
-    found = elsewhere("import torch")
+def test_torch_imported_before_is_in_time_for_mkl_unless_it_multiplied_or_the_user_chose_a_mode():
+    modes = "COMPATIBLE,STRICT", "AVX2"
+    users = [f"os.environ.update(MKL_CBWR={mode!r}, OMP_WAIT_POLICY='PASSIVE')" for mode in modes]
+    found, late, *chosen = elsewhere("import torch", "", "torch.rand(9, 9) @ torch.rand(9, 9)", *users)
     assert found["variables_in_time"] is False
     assert (found["mkl"]["strict"], found["independent"]) == (True, True)
     assert [note for note in found["notes"] if "OMP_WAIT_POLICY" in note]
-
-
-def test_matrices_multiplied_before_end_the_independence_and_it_is_told():
-    found = elsewhere("import torch; torch.rand(9, 9) @ torch.rand(9, 9)")
-    assert (found["mkl"]["strict"], found["independent"]) == (False, False)
-    assert "MKL is not in its repeatable mode" in found["notes"][0]
-
-
-@pytest.mark.parametrize("mode", ["COMPATIBLE,STRICT", "AVX2"])
-def test_a_mode_of_the_users_own_that_threads_can_change_is_told(mode):
-    found = elsewhere("", MKL_CBWR=mode, OMP_WAIT_POLICY="PASSIVE")
-    assert found["independent"] is False
-    assert f"MKL_CBWR is {mode}" in found["notes"][0]
+    assert (late["mkl"]["strict"], late["independent"]) == (False, False)
+    assert "MKL is not in its repeatable mode" in late["notes"][0]
+    for mode, told in zip(modes, chosen, strict=True):
+        assert told["independent"] is False
+        assert f"MKL_CBWR is {mode}" in told["notes"][0]
 
 
 def test_without_mkl_no_promise_is_made(monkeypatch):
@@ -225,9 +228,12 @@ def test_the_process_of_a_pipelines_step_chooses_by_itself(monkeypatch):
 
 
 FIRST_USE = """
-import sys
+import os, sys
 from wheelleg_exp import machine
-machine.keep_kernels = lambda recorded: print(recorded["MKL_CBWR"], "tensordict" in sys.modules)
+def keep_kernels(recorded):
+    print(recorded["MKL_CBWR"], "tensordict" in sys.modules, flush=True)
+    os._exit(7)
+machine.keep_kernels = keep_kernels
 from wheelleg_exp.cli.main import main
 main(["resume", sys.argv[1]])
 """
@@ -240,7 +246,7 @@ def test_a_resume_asks_for_the_runs_kernels_before_anything_uses_them(tmp_path, 
     Manifest.begin(run, task="stand", seed=0, command=[], threads={})
     command = [sys.executable, "-c", FIRST_USE, str(run)]
     said = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert said.stdout.splitlines()[:1] == ["AVX2,STRICT False"], said.stderr
+    assert (said.stdout, said.returncode) == ("AVX2,STRICT False\n", 7), said.stderr
 
 
 @pytest.mark.parametrize(("running", "found"), [("1/300", "20000"), ("3/300", "20000"), ("4/300", "0"), ("?", "0")])

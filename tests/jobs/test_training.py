@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import hashlib
 import json
@@ -11,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import termios
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -275,64 +273,70 @@ def test_handlers_of_signals_come_back(trained):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+# The trainings are forks, so that the modules are imported once; the last training has the terminal.
+_FORKS = """
+import fcntl, os, signal, sys, termios
+import wheelleg_exp.jobs.train.run_training
+from wheelleg_exp.cli.main import main
+
+terminal, *roots = int(sys.argv[1]), *sys.argv[2:5]
+children = []
+for root in roots:
+    children.append(os.fork())
+    if children[-1] == 0:
+        signal.alarm(600)
+        os.chdir(root)
+        if root == roots[-1]:
+            os.setsid()
+            fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+        else:
+            terminal = os.open("said", os.O_CREAT | os.O_RDWR)
+        for stream in range(3):
+            os.dup2(terminal, stream)
+        sys.exit(main(["train", *sys.argv[5:], f"run.root={root}"]))
+print(*[os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children])
+"""
+
+
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory):
-    """Return exit status, run, and output of three long trainings, each stopped by a signal."""
-    processes = {}
+    """Return exit status and run of three long trainings, each stopped by a signal."""
+    roots = {number: tmp_path_factory.mktemp(number.name) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     master, slave = os.openpty()
     os.set_blocking(master, False)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        root = tmp_path_factory.mktemp(number.name)
-        words = [*SMALL, "agent.max_iterations=100000", "agent.save_interval=1000", f"run.root={root}"]
-        command = [sys.executable, "-m", "wheelleg_exp.cli.main", "train", *words]
-        process = subprocess.Popen(command, **_streams(number, slave), text=True, cwd=root)
-        processes[number] = (process, root)
-    os.close(slave)
-    answers = {}
-    try:
-        _signal_each_after(processes, master, iterations=3)
-        for number, (process, root) in processes.items():
-            out, err = process.communicate(timeout=PATIENCE_S)
-            answers[number] = (process.returncode, only_run(root), out, err)
-    finally:
-        for process, _ in processes.values():
+    words = [*roots.values(), *SMALL, "agent.max_iterations=100000", "agent.save_interval=1000"]
+    command = [sys.executable, "-c", _FORKS, str(slave), *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[slave]) as process:
+        os.close(slave)
+        try:
+            _signal_each_after(roots, master, iterations=3)
+            statuses = process.communicate(timeout=PATIENCE_S)[0].split()
+        finally:
             process.kill()
-            process.communicate()
-    return answers
+    return {number: (int(status), only_run(roots[number])) for number, status in zip(roots, statuses, strict=True)}
 
 
-def _streams(number: signal.Signals, terminal: int) -> dict:
-    """Return pipes, or the streams of a terminal that the test closes."""
-    if number is not signal.SIGHUP:
-        return {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-
-    def lead() -> None:
-        os.setsid()
-        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-
-    return {"stdin": terminal, "stdout": terminal, "stderr": terminal, "preexec_fn": lead}
-
-
-def _signal_each_after(processes: dict, terminal: int, iterations: int) -> None:
-    """Send each process its signal as soon as it has done some iterations: a hang-up by closing its terminal."""
-    waiting, deadline = dict(processes), time.monotonic() + PATIENCE_S
+def _signal_each_after(roots: dict, terminal: int, iterations: int) -> None:
+    """Send each training its signal as soon as it has done some iterations: a hang-up by closing its terminal."""
+    waiting, deadline = dict(roots), time.monotonic() + PATIENCE_S
     while waiting:
         with suppress(BlockingIOError):
             while signal.SIGHUP in waiting and os.read(terminal, 1 << 16):
                 pass
         assert time.monotonic() < deadline, "the training does not begin"
-        for number, (process, root) in list(waiting.items()):
+        for number, root in list(waiting.items()):
             found = list(root.glob("stand/*/iterations.jsonl"))
             if found and len(found[0].read_text().splitlines()) >= iterations:
-                process.send_signal(number) if number is not signal.SIGHUP else os.close(terminal)
+                process = manifest(found[0].parent)["process"]["pid"]
+                os.kill(process, number) if number is not signal.SIGHUP else os.close(terminal)
                 del waiting[number]
         time.sleep(0.05)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_or_a_closed_terminal_stops_the_training_after_its_iteration(stopped, number):
-    status, path, _, err = stopped[number]
-    assert (status, status_of(path)) == (130, "interrupted"), err
+    status, path = stopped[number]
+    assert (status, status_of(path)) == (130, "interrupted")
     run = RunDirectory.open(path, path.parent.parent)
     done = [line["iteration"] for line in lines(path)]
     assert (done, checkpoint.load(run.latest_checkpoint())["iter"]) == (list(range(len(done))), done[-1])
@@ -343,6 +347,7 @@ def test_a_signal_or_a_closed_terminal_stops_the_training_after_its_iteration(st
     assert manifest(path)["results"]["checkpoint"] == newest.name
     if number is signal.SIGHUP:  # The process had no terminal left for messages.
         return
+    err = (path.parents[1] / "said").read_text()
     assert [word for word in ("interrupted", run.latest_checkpoint().name) if word not in err] == []
     assert f"resume {path.relative_to(path.parents[1].parent)}" in err or "resume stand" in err
     assert "Traceback" not in err
