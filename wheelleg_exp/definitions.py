@@ -72,7 +72,7 @@ TRAINING_ABOUT = (
     "episodes, and shorter ones. `*_per_step/…` has no such bias: every environment counts equally in every control "
     "step of the iteration. Command errors are sampled once per control step, after the resets of that step."
 )
-# The definitions of TensorBoard scalars by key; <NAME> in a key matches any name; the first matching key is used.
+# This table defines TensorBoard scalars by key; <NAME> matches any name, and the first matching key is used.
 SCALARS = {
     "Train/mean_reward": Definition("return, mean", "",
         f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST),

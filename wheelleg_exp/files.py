@@ -113,7 +113,7 @@ def dump_json(value: Any) -> str:
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     try:
         text.encode("utf-8")
-    except UnicodeEncodeError:  # A file name that is not UTF-8 contains surrogates.
+    except UnicodeEncodeError:  # A file name that is not UTF-8 contains surrogates, which UTF-8 cannot encode.
         text = json.dumps(plain, indent=2, allow_nan=False) + "\n"
     return text
 
@@ -148,7 +148,7 @@ def open_file(path: Path) -> Iterator[BufferedReader]:
 
 
 def _opened(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Opening a pipe must not wait for a writing process.
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # Opening a named pipe must not wait for its writer.
 
 
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
@@ -236,7 +236,7 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # Without file locks, temporary folders of killed processes remain.
+        with contextlib.suppress(OSError):  # Without locks in the file system, folders of killed processes remain.
             stack.enter_context(_flocked(folder))
         yield folder
 
@@ -282,7 +282,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    # The error of a file system that cannot sync a folder is harmless.
+    # Some file systems cannot sync a folder; ignore this harmless error.
     with contextlib.suppress(OSError):
         _fsync(path)
 

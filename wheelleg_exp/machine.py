@@ -105,7 +105,7 @@ def first_processor() -> dict[str, str]:
 
 
 _LOADAVG = Path("/proc/loadavg")
-_SPINS, _SAMPLES = "20000", 3  # An idle thread takes up to a millisecond for 20000 turns of its busy loop.
+_SPINS, _SAMPLES = "20000", 3  # An idle OpenMP thread takes up to 1 ms for 20000 turns of its busy loop.
 
 
 def spins() -> str:
@@ -139,7 +139,7 @@ def prepare_threads() -> bool:
     """
     missing = [name for name in VARIABLES if name not in os.environ]
     if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
-        missing.remove("GOMP_SPINCOUNT")  # The user has chosen with OMP_WAIT_POLICY how idle threads wait.
+        missing.remove("GOMP_SPINCOUNT")  # Respect the user's OMP_WAIT_POLICY, which defines how idle threads wait.
     os.environ.update({name: VARIABLES[name]() for name in missing})
     _chosen.update(missing)
     return not (missing and "torch" in sys.modules)

@@ -53,7 +53,7 @@ def real_path(path: str | Path) -> str:
     """Return an absolute path without symbolic links; return an empty text for an invalid path."""
     try:
         return os.path.realpath(path)
-    except ValueError:  # ``path`` contains a null character.
+    except ValueError:  # realpath raises ValueError for a path with a null character.
         return ""
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 
 CACHE_KEY = "WHEELLEG_CACHE"  # environment variable
-# The folders next to a robot's MJCF that contain actuator networks and the terrain file.
+# These folders next to a robot's MJCF file contain actuator networks and the terrain file.
 NETWORKS, GROUND = "networks", "ground"
-# The files from other runs that contain the teacher policy and the initial networks of a training.
+# These copies of other runs' files contain a training's teacher policy and initial networks.
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent

@@ -16,13 +16,13 @@ import yaml
 from wheelleg_exp.errors import RunDirectoryError
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# The deepest allowed nesting of YAML; deeper nesting would crash the C parser before Python's recursion limit.
+# YAML can have at most 200 nested levels, because much deeper nesting crashes the C parser.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
-# An archive must unpack to at most _TIMES times its packed size plus _PACKED_ROOM bytes.
+# A zip archive must unpack to at most _TIMES times its packed size plus _PACKED_ROOM bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
-_MOST_BITS = 1023  # The number of bits of the largest integer that a float can represent.
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # The characters that can start a nested value in YAML.
+_MOST_BITS = 1023  # An integer of at most 1023 bits can be converted to a float.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # These characters can start a nested value in YAML.
 
 
 class Unreadable(ValueError):
@@ -121,7 +121,7 @@ def _bounded(value: Any) -> Any:
                 raise Unreadable("the JSON or YAML text is nested too deeply")
             waiting += [(item, depth + 1) for item in (node.values() if isinstance(node, dict) else node)]
         elif isinstance(node, int) and node.bit_length() > _MOST_BITS:
-            raise Unreadable(f"the JSON or YAML text contains a too large integer of {node.bit_length()} bits")
+            raise Unreadable(f"an integer of {node.bit_length()} bits in the JSON or YAML text is too large")
     return value
 
 
@@ -140,10 +140,10 @@ def _no_number(name: str) -> Any:
 
 _SCALARS = (str, int, float, bool, type(None))
 
-# Matches text that PyYAML reads as text, but that YAML 1.2 readers and OmegaConf read as a number.
+# PyYAML reads a matching word as text, but YAML 1.2 readers and OmegaConf read the word as a number.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
-# The line-end characters that PyYAML writes unchanged in single quotes, but reads as spaces.
+# PyYAML writes these line-end characters unchanged in single quotes, but reads them as spaces.
 _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 

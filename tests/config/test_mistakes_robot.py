@@ -23,7 +23,7 @@ WRONG: dict[str, tuple[str | None, ...]] = {
     "env.rewards.leg_joint_deviation.asset_cfg.joint_names=[l01,l1]": ("'l1' matches nothing", "l01"),
     "env.rewards.wheel_air.sensor_cfg.body_names=[l_wheel_lnk]": ("'l_wheel_lnk' matches nothing", "l_wheel_link"),
     "env.terminations.base_contact.sensor_cfg.name=contact_force": (
-        "the scene has no 'contact_force'", "contact_forces"),
+        "the scene has no robot or sensor 'contact_force'", "contact_forces"),
     "env.events.add_base_mass.asset_cfg.body_names=[base]": ("'base' matches nothing", "base_link"),
     "env.actions.leg_pos.preserve_order=false": (
         "the term sees l01, r01, l02, r02", None, "env.actions.leg_pos.joint_names"),

@@ -89,7 +89,7 @@ def test_no_name_in_a_manifest_leads_outside(trial, name):
     ]
     for plant in plants:
         trial.manifest(**plant)
-        trial.try_each(("verify", "resume", "play"), 2, MANIFEST, "outside its directory")
+        trial.try_each(("verify", "resume", "play"), 2, MANIFEST, "outside the run directory")
         trial.try_("list", 0, "damaged")
 
 

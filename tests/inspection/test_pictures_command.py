@@ -59,7 +59,7 @@ def test_a_video_says_how_long_it_is(played, tmp_path: Path, capsys, graphics: s
         (("--screenshot", "a.png", "--at", "soon"), "neither a time nor a recorded term"),
         (("--screenshot", "a.png", "--width", "0"), "a picture of 0 x 720 cannot be drawn"),
         (("--video", "a.avi"), ".mp4"),
-        (("--video", "a.mp4", "--from", "9s"), "no frame was recorded in the selected time"),
+        (("--video", "a.mp4", "--from", "9s"), "no control step was recorded at the selected times"),
         (("--web", "--port", "99999"), "cannot listen on"),
     ],
 )

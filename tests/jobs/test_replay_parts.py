@@ -56,7 +56,7 @@ def request(**changes) -> Request:
 def test_a_request_is_read_without_keys_of_a_newer_program_and_refused_with_another_protocol():
     assert Request.read(request().line()) == request()
     assert Request.read(json.dumps(asdict(request()) | {"invented_later": 1}).encode()) == request()
-    with pytest.raises(WheellegError, match=rf"version {PROTOCOL + 1} of the replay protocol.*expected {PROTOCOL}"):
+    with pytest.raises(WheellegError, match=rf"version {PROTOCOL + 1} in a replay request.*expected {PROTOCOL}"):
         Request.read(request(protocol=PROTOCOL + 1).line())
 
 

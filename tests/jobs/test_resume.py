@@ -409,7 +409,7 @@ def refuse(run: Path, *words: str) -> str:
         (["agent.max_iterations=9", "env.observations.policy.history_length=2"], "with this observation"),
         (["agent.max_iterations=9", "env.events.push_robot.mode=reset"], "env.events.push_robot"),
         (["agent.max_iterations=9", "env.rewards.alive.weight=abc"], "env.rewards.alive.weight"),
-        (["agent.max_iterations=9,10"], "the command accepts no sweep of several values"),
+        (["agent.max_iterations=9,10"], "the command accepts only one value per key"),
         (["task=walk", "agent.max_iterations=9"], "task"),
         (["hydra.run.dir=x", "agent.max_iterations=9"], "hydra.run.dir: nothing reads this"),
     ],

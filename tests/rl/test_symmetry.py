@@ -152,7 +152,7 @@ def test_signs_of_joints_are_those_of_their_axes():
 @pytest.mark.parametrize(
     ("pairs", "said"),
     [
-        ({"x(.*)": r"r\1"}, "matches no joint name"),
+        ({"x(.*)": r"r\1"}, "matches no joint"),
         ({"l(.*)": r"s\1"}, "the robot has no joint 's1'"),
         ({"l(": "r"}, "regular expression is invalid"),
         ({"l(.*)": r"r\2"}, "regular expression is invalid"),

@@ -62,7 +62,7 @@ def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     missing = re.match(r"the following arguments are required: (.+)", message)
     if missing is not None:  # argparse's error about missing arguments names even optional arguments.
         wanted = missing.group(1).split(", ")
-        # Two positional arguments of a command can have equal names.
+        # A required and an optional argument of a command can have the same name.
         names = [name for name in wanted if name not in optional] or wanted
         return UsageError("the argument is missing", key=", ".join(names))
     argument = re.match(r"argument (\S+): (.+)", message)

@@ -14,8 +14,8 @@ from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-# The shell passes the command line up to the cursor in the environment variable LINE.
-# bash passes the characters at which bash splits words in the environment variable BREAKS.
+# The shell passes the command line up to the cursor in the environment variable that ``LINE`` names.
+# bash passes its word-splitting characters in the environment variable that ``BREAKS`` names.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
 _QUERY = "query"
 

@@ -50,7 +50,7 @@ class Result:
     document: Any
     show: Callable[[], None]
     status: int = EXIT_OK  # With several actions, ``wheelleg inspect`` returns the highest exit status.
-    notes: tuple[str, ...] = ()  # The notes that ``wheelleg inspect`` prints on standard error.
+    notes: tuple[str, ...] = ()  # ``wheelleg inspect`` prints these notes on standard error.
 
 
 @dataclass(frozen=True)
@@ -376,7 +376,7 @@ def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:
     return Result({"path": str(path), **facts}, lambda: print(f"wrote {path}{text}"))
 
 
-_ROWS = ("env", "iteration", "begin", "end")  # The options of ``wheelleg inspect`` that select rows of a recording.
+_ROWS = ("env", "iteration", "begin", "end")  # These options of ``wheelleg inspect`` select rows of a recording.
 # The action 'web' runs last, because the web server runs until the user stops the command.
 ACTIONS = (
     Action("repair", _repair, ("output",)),

@@ -19,8 +19,8 @@ from wheelleg_exp.run import run_list
 from wheelleg_exp.run.run_list import RunSummary, SweepSummary
 from wheelleg_exp.run.timestamps import utc_text
 
-_NEVER = datetime.min.replace(tzinfo=UTC)  # The assumed start time of a run with an unknown start.
-_LEAST_ID = 16  # The smallest number of characters of a printed run id.
+_NEVER = datetime.min.replace(tzinfo=UTC)  # A run without a known start time counts as the oldest run.
+_LEAST_ID = 16  # Print at least 16 characters of a run id.
 _PROBLEMS_SHOWN = 10
 _LEGEND = (
     f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode ended by "

@@ -39,8 +39,8 @@ class Command:
 
     module: str
     help: str
-    run: str = "run"  # The name of the function in the command's module that runs the command.
-    project: bool = True  # True if the command-line command reads configs of the user project in the current folder.
+    run: str = "run"  # ``run`` is the name of the module's function that runs the command.
+    project: bool = True  # ``project`` is true if the command reads configs of the current folder's project.
 
 
 COMMANDS: dict[str, Command] = {
@@ -140,7 +140,7 @@ def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
     """Parse command-line options and config overrides in any order; return None after ``--help`` or ``--version``."""
     try:
         return parser.parse_intermixed_args(words)
-    except SystemExit:  # Only --help and --version raise SystemExit; mistakes raise UsageError.
+    except SystemExit:  # Only --help and --version raise SystemExit; wrong options raise UsageError.
         return None
 
 

@@ -54,7 +54,7 @@ class Slot:
     """
 
     annotation: Any = Any
-    # The field ``default`` needs a factory, because `inspect` treats the default Parameter.empty as no default.
+    # Use a default factory, because `inspect.signature` treats the default value Parameter.empty as a missing default.
     default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
@@ -72,7 +72,7 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     element = None if above is None else _element(above, keys[-1])
     if element is None:
         return None
-    # The description of a config section does not describe the terms in the section.
+    # A manager term does not inherit the description of its config section.
     inherited = "" if section_of(keys) is not None else element.meaning
     return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 

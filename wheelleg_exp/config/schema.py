@@ -14,7 +14,7 @@ from typing import Literal
 from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
 from wheelleg_exp.terms.config_sections import Env, Section
 
-# For each config section, the dataclass whose fields are the section's keys, imported only when needed.
+# ``OPTIONS`` maps a config section to the dataclass whose fields are the section's keys, as a dotted name.
 OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",

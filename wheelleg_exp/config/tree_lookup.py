@@ -129,7 +129,7 @@ def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
 class DefaultsEntry:
     """One ``key: value`` of a file's defaults list, such as ``override /reward@env.rewards: [alive]``."""
 
-    key: str  # The name of the config group, without the words `override` and `optional`.
+    key: str  # ``key`` is the config group's name without the words `override` and `optional`.
     value: Any
     override: bool
     line: int

@@ -25,7 +25,7 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-# A lower bound of the memory that one environment needs for state, outputs, and observations, bytes.
+# The state, outputs, and observations of one environment need at least 10,000 bytes of memory.
 _BYTES_PER_ENV = 10_000
 
 Observations = dict[str, Group]
@@ -99,7 +99,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ]
         self._ended = AsyncMaskQuery(self.num_envs, self.device)
         self._sensors_refresh = any(sensor.measures_at_reset for sensor in self.scene.sensors.values())
-        # With recorders, no CUDA graph is captured, because recorders wait for the GPU in every step.
+        # With recorder terms, capture no CUDA graph, because recorder terms wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
         # This line must be last, because checkpoints store all attributes that the environment gets after this line.
@@ -274,7 +274,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         if len(not_reset):
             log = self.extras.get("log") if self.extras["log_is_fresh"] else None
             self._reset_idx(not_reset)
-            # Prefer the log of episodes that ended normally to the log of failed episodes.
+            # If episodes of both kinds ended, report the log of the episodes that did not fail.
             self.extras["log"] = log or self.extras["log"]
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:

@@ -13,7 +13,7 @@ from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
-# The environment or its caller changes attributes such as ``extras``; they are not state of manager terms.
+# The environment itself or its caller sets these attributes, so they are not state of manager terms.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 
 

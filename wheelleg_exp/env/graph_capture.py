@@ -41,11 +41,11 @@ from wheelleg_exp.state.object_graph import Slot, is_plain
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
-# The largest number of CUDA graphs of one method; a reset needs a CUDA graph for each number of environments.
+# A step method has at most 8 CUDA graphs; the reset has at most 128, one for each number of environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
 # ``CapturedPart`` counts how often the environment had equal attribute values in a method's last 1024 calls.
 _WINDOW = 1024
-# Warn if a method of the step has run in 256 more calls without a CUDA graph than with a CUDA graph.
+# Warn if a step method's calls without a CUDA graph outnumber its calls with a CUDA graph by 256.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -288,7 +288,7 @@ class CapturedPart:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # A newly detected changing attribute is missing in the keys of older CUDA graphs, so delete these graphs.
+            # Delete all CUDA graphs, because their keys lack an attribute that was now found to change.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -307,7 +307,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # Do not store a CUDA graph if its recording found a changing attribute that the graph's key lacks.
+                # Do not store a CUDA graph if an attribute that the graph's key lacks changed during the recording.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -338,7 +338,7 @@ class CapturedPart:
         """Return whether the environment had its present attribute values in enough calls to record a CUDA graph."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # Replace the least used CUDA graph only if the new attribute values occurred in at least twice as many calls.
+        # Replace the least used CUDA graph only if the new graph's attribute values occurred in twice as many calls.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:

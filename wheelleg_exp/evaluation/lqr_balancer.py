@@ -20,11 +20,11 @@ from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositi
 
 Array = np.ndarray[Any, Any]
 
-# The LQR cost weights position, pitch, speed, and pitch rate (m, rad, s) by `_STATES`, wheel acceleration by `_INPUT`.
+# `_STATES` weights position, pitch, speed, and pitch rate in the LQR cost; `_INPUT` weights the wheel acceleration.
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
 _HEADING = 4.0  # gain, 1/s
-# The limit of the integrator's input, rad, prevents that a push or a fall winds up the integrator.
+# Limit the integrator's input to 0.05 rad, so that a push or a fall causes no integral windup.
 _MOST_ERROR = 0.05
 
 

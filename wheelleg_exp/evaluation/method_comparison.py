@@ -105,7 +105,7 @@ class Difference:
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
-        # If the median or the ranks contradict the means, a few extreme episodes decide the means: no method is better.
+        # If the median or the ranks contradict the means, a few episodes dominate the means, so no method is better.
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
             return ""
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"

@@ -84,7 +84,7 @@ def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
     """Return the lowest mean or median (``of``) of all groups of episodes, given each episode's group and value."""
     cell, value = columns
     with warnings.catch_warnings():
-        # A bootstrap resample can lack all episodes of a command, and numpy warns about the mean of an empty array.
+        # A bootstrap resample can lack all episodes of a velocity command, and numpy warns about means of empty arrays.
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
 

@@ -106,7 +106,7 @@ class Rollout:
         for step in range(self.steps):
             actions = policy(observations)
             numbers = torch.isfinite(actions).all(dim=1)
-            # Ended episodes and robots with NaN actions get zero actions, because their simulation continues.
+            # Robots with an ended episode or NaN actions get zero actions, because their simulation continues.
             actions = torch.where((alive & numbers).unsqueeze(1), actions, 0.0)
             if disturb is not None:
                 disturb(step)

@@ -42,7 +42,7 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self._of_joints = torch.zeros(4, n, joints, device=env.device)
         self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
-        # Store the number of physics steps in a tensor, so that replays of a CUDA graph increase this number.
+        # Count physics steps in a tensor, so that each replay of a CUDA graph increases the count.
         self._steps = torch.zeros((), device=env.device)
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
@@ -58,7 +58,7 @@ class EffortMeter(SensorBase):
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
-        # If ``counted`` is false, set the stored signs of the joint torques to 0, because no change from 0 is counted.
+        # If ``counted`` is false, set the stored torque signs to 0: a change from 0 does not count as a sign change.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 

@@ -26,7 +26,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 LONGEST = 2000
 DEEPEST = 60
-_SHOWN = 120  # Error messages show at most 120 characters of the user's condition.
+_SHOWN = 120  # Error messages show at most 120 characters of the condition after `--where`.
 _Operators = dict[type, Callable[[Any, Any], Any]]
 _COMPARE: _Operators = {
     ast.Lt: operator.lt,
@@ -73,7 +73,7 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = "; '==' compares" if "=" in text.replace("==", "").replace("<=", "").replace(">=", "") else ""
         raise _wrong(text, f"it cannot be read ({getattr(error, 'msg', None) or 'too deep'}{hint})") from error
-    # A condition with a deep syntax tree would exceed Python's recursion limit, because its evaluation is recursive.
+    # A deeply nested condition would exceed Python's recursion limit, because the evaluation is recursive.
     depth, level = 0, [cast("ast.AST", tree)]
     while level:
         depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
@@ -183,7 +183,7 @@ def find_hits(
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Also read rows outside the selected times: the result contains rows shortly before and after the selected rows.
+    # Read all recorded times, because ``Hit.around`` can contain frames outside the selected times.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

@@ -15,7 +15,7 @@ from wheelleg_exp.recording.reading.arrow_values import as_number
 
 FAILED, TIMED_OUT, UNFINISHED = "failed", "time out", "unfinished"
 TOTAL = "total"
-_AT_LIMIT = 1.0 - 1e-6  # Recorded efforts are float32, so comparing an effort with its limit needs a tolerance.
+_AT_LIMIT = 1.0 - 1e-6  # Joint efforts are recorded as float32, so a comparison with an effort limit needs a tolerance.
 _OWN = ("number", "episode.step", "terminated", "truncated")
 _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 
@@ -91,7 +91,7 @@ class _Marks:
         self._fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
         self._steps: NDArray[np.int64] = ends.column(STEP)
         self._step_dt = view.recording.step_dt or 0.0
-        # Old recordings have no episode counters, and truncated recordings can lack rows of episode counters.
+        # Old recordings lack the number and step of each episode, and truncated recordings can lack some of them.
         own = view.frames("episode", env_id)
         if own is not None and (len(own) != len(ends) or not set(_OWN) <= set(own.names)):
             own = None

@@ -22,7 +22,7 @@ Episodes = Mapping[str, Array]
 # In a map of survival rates, dark red means failure and pale blue means success.
 # In a map of tracking errors, a pale colour means a small tracking error.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # Numbers in map cells are white if the cell is darker than the colour at 0.4 of the colour map.
+_DARK = 0.4  # In a map, numbers are white on cells that are darker than the colour at 0.4 of the colour map.
 _DEGREES = 180.0 / math.pi
 
 
@@ -220,7 +220,7 @@ def _map(
                 share = norm(values[i, j])
                 dark = share < _DARK if is_share else share > _DARK
                 value = 100.0 * float(values[i, j]) if is_share else float(values[i, j])
-                # Write numbers of at least 10 with `.0f`, because `.2g` would write an exponent.
+                # Format numbers of at least 10 with `.0f`, because `.2g` would write 100 as 1e+02.
                 text = f"{value:.0f}" if is_share or abs(value) >= 10.0 else f"{value:.2g}"
                 axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
         axes.set_xticks(range(len(columns)), [f"{column:g}" for column in columns])

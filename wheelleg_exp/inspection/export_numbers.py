@@ -110,13 +110,13 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
         entities = {_within(group, name): number.entity for name, number in numbers.items()}
         is_own = any(is_of_env(number) for number in numbers.values())
         tables.append(_described(table, entities, recording, env_id if is_own else None))
-        if not is_own:  # Numbers that belong to no environment are exported only once.
+        if not is_own:  # Export numbers that all environments share, such as training scalars, only once.
             break
     return pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
 
 
 def _file_name(group: str) -> str:
-    # Escape the name of a group of numbers, because another program's recording can use any name, even a path.
+    # The file is named after a group of recorded numbers, so escape characters such as '/' in the group's name.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 

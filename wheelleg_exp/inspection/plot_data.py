@@ -115,7 +115,7 @@ class Source:
         """Return the selected numbers of a rerun entity; raise RunDirectoryError if the selection has no numbers."""
         found = self._series(entity)
         if not found.values.size:
-            raise RunDirectoryError(f"the selection contains no row of '{entity}' in '{self.recording.path}'")
+            raise RunDirectoryError(f"no selected row of '{self.recording.path}' contains '{entity}'")
         return found
 
     def _series(self, entity: str) -> Series:

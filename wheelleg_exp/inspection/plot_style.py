@@ -33,7 +33,7 @@ PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", 
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
 _DPI = 150
-_COLUMNS = 2  # A figure has two panels per row, unless one of the panels is wide.
+_COLUMNS = 2  # A figure has two plots (panels) per row; a wide panel fills a row.
 _MOST_PANELS = 200
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _WEB_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
@@ -84,7 +84,7 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "wheelleg",
     "pdf.fonttype": 42,
     "path.simplify": True,
-    "text.parse_math": False,  # Disable matplotlib's math text, because names can contain a dollar sign.
+    "text.parse_math": False,  # Disable matplotlib's math text, because plotted names can contain '$'.
 }
 
 
@@ -114,7 +114,7 @@ def _saved(figure: Figure) -> Iterator[None]:
     for text in figure.findobj(Text):
         text.set_text(printable(text.get_text()))
     with styled(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # matplotlib warns about missing glyphs and too long titles.
+        warnings.simplefilter("ignore", UserWarning)  # Suppress matplotlib's warnings about glyphs and long titles.
         yield
 
 
@@ -155,7 +155,7 @@ def figure_svg(figure: Figure) -> str:
         nothing: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         FigureCanvasSVG(figure).print_svg(buffer, metadata=nothing)
     text = buffer.getvalue()
-    text = text[text.index("<svg") :]  # Remove the XML declaration, which is not valid inside an HTML page.
+    text = text[text.index("<svg") :]  # Remove the SVG's XML declaration, which an HTML page cannot contain.
     text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     shorten = partial(_NUMBER.sub, lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."))
@@ -209,7 +209,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # The number of grid columns is the least common multiple of the numbers of panels per row.
+    # The grid needs a number of columns that is divisible by the number of panels in each row.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

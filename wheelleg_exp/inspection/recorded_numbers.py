@@ -73,7 +73,7 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
         return Statistics(*counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
-    with np.errstate(over="ignore", invalid="ignore"):  # numpy warns if the square of a very large value overflows.
+    with np.errstate(over="ignore", invalid="ignore"):  # Suppress numpy's warning about an overflow of ``kept**2``.
         mean, std, rms = float(kept.mean()), float(kept.std()), float(np.sqrt(np.mean(kept**2)))
     quantiles = dict(zip(QUANTILES, np.quantile(kept, QUANTILES).tolist(), strict=True))
     low_at, high_at = (at(int(low)), at(int(high))) if at else (None, None)
@@ -182,7 +182,7 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
     below = [n for n in numbers if n.startswith(f"{word.split('.')[0]}.")]
     shown = below or [f"{top}.…" for top in dict.fromkeys(n.split(".")[0] for n in numbers)]
     expected = "one of " + ", ".join(shown[:_SHOWN]) + (f", … ({len(shown)} in all)" if len(shown) > _SHOWN else "")
-    raise WheellegError(f"the recording contains no number '{name}'", key=key, expected=expected, nearest=nearest)
+    raise WheellegError(f"the recording contains no number named '{name}'", key=key, expected=expected, nearest=nearest)
 
 
 def frames_for(recording: Recording, names: Iterable[str], selection: Selection, key: str = "--term") -> list[Frames]:
@@ -193,7 +193,7 @@ def frames_for(recording: Recording, names: Iterable[str], selection: Selection,
         named = [Number(word, n.entity, n.index) for word, n in zip(words, numbers, strict=True)]
         shared = bool(recording.branch(env_id)) and not any(is_of_env(number) for number in numbers)
         found.append(Frames(selection.apply(recording.columns_of(named)), None if shared else env_id))
-        if shared:  # Read recorded numbers that belong to no environment, such as training scalars, only once.
+        if shared:  # Read numbers that all environments share, such as training scalars, only once.
             break
     return found
 

@@ -40,7 +40,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
         rgba = rgba_of(_at(statics, ("colors",), i, None))
-        if "half_sizes" in statics:  # rerun stores boxes and ellipsoids in components with equal names.
+        if "half_sizes" in statics:  # In rerun, boxes and ellipsoids both have the component `half_sizes`.
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
             yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
             continue
@@ -139,7 +139,7 @@ def motion_of(source: Source, scene: Scene) -> Motion:
     ``motion_of`` raises RunDirectoryError if the bodies have no common control step.
     """
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
-    # Use only control steps with poses of all bodies, because a truncated recording can lack the last poses of a body.
+    # Use only control steps with recorded poses of all bodies, because a truncated recording can lack some poses.
     steps = [np.asarray(table.column(STEP)) for table in tables]
     if not all(np.array_equal(own, steps[0]) for own in steps):
         common = reduce(np.intersect1d, steps)
@@ -263,7 +263,7 @@ def _last_finite(rows: Numbers) -> Numbers:
     fine = (np.abs(rows) < FAR).all(axis=1)
     if fine.all() or not fine.any():
         return np.where(np.abs(rows) < FAR, rows, 0.0)
-    # Replace each row with NaN or inf by the preceding finite row, or else by the first finite row.
+    # Replace a recorded pose with NaN or inf by the last finite pose before it, or else by the first finite pose.
     return rows[np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))]
 
 

@@ -26,7 +26,7 @@ _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 _FINER = 2  # Pictures are drawn at twice their size and then reduced (supersampling), to avoid jagged edges.
 _SAMPLES = 4
 _LARGEST = 4096
-_SHORTEST, _LONGEST = 0.02, 1.2  # The length of a drawn arrow is 0.02 to 1.2 times the robot's height.
+_SHORTEST, _LONGEST = 0.02, 1.2  # Omit arrows shorter than 0.02 robot heights; cut arrows at 1.2 robot heights.
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def sample_at(shown: Scenery, iteration: int) -> Sample:
                 return sample
     there = ", ".join(str(s.iteration) for s in shown.samples if s.iteration is not None) or "none"
     expected = f"an iteration near a recorded sample: {there}"
-    raise WheellegError(f"nothing was recorded at iteration {iteration} of the training", expected=expected)
+    raise WheellegError(f"the recording contains no row of training iteration {iteration}", expected=expected)
 
 
 def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
@@ -230,7 +230,7 @@ def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
         raise WheellegError(message, expected=expected, nearest=nearest_name(term, names))
     found = inside[np.isin(shown.motion.step[inside], _steps_of_term(source, entity))]
     if not len(found):
-        raise WheellegError(f"the number '{term}' is zero at every recorded step", expected="a term that happened")
+        raise WheellegError(f"the recorded number '{term}' is always zero", expected="a term that happened")
     return int(found[0])
 
 

@@ -147,7 +147,7 @@ def require_path(path: Path) -> str:
 def _term(source: Source, term: str) -> list[Panel]:
     entity = source.find(term)
     if entity is None:
-        source.series(source.path(*term.split(".")))  # Raise an error for an unknown name of a recorded number.
+        source.series(source.path(*term.split(".")))  # Raise an error: no recorded number has the name `term`.
         return []
     if entity.startswith(f"{TRAINING}/"):
         series = source.series(entity)
@@ -166,7 +166,7 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
     if not found:
         if small:
             return []
-        next(iter(sources.values())).series(term)  # Raise an error for an unknown name of a recorded number.
+        next(iter(sources.values())).series(term)  # Raise an error: no recorded number has the name `term`.
     series = {label: sources[label].series(entity) for label, entity in found.items()}
     names = max(series.values(), key=lambda s: s.values.shape[1]).names
     word = term.removeprefix(f"{TRAINING}/")

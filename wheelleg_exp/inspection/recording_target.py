@@ -38,7 +38,7 @@ class Target:
     def resting(self) -> Iterator[None]:
         """Lock the recording's run directory inside a ``with`` block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
-        # Take no lock if the user cannot write the run's lock file, because this user cannot resume the training.
+        # A user who cannot write the run's lock file cannot resume the training, so this user needs no lock.
         with ExitStack() as stack:
             if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
                 stack.enter_context(RunLock(run).held())
@@ -63,7 +63,7 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
             raise WheellegError(f"'{path}' is not a run directory", key="--play", expected="a run with a recorded play")
         return Target(_in_folder(path) if path.is_dir() else path, _run_around(path))
     if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
-        raise RunDirectoryError(f"'{path}' is a broken link", expected="a recording")
+        raise RunDirectoryError(f"'{path}' is a broken symbolic link", expected="a recording")
     if path.suffix == _SUFFIX and not path.exists():
         like = nearest_name(path.name, [p.name for p in path.parent.glob(f"*{_SUFFIX}")])
         nearest = str(path.with_name(like)) if like else None

@@ -89,7 +89,7 @@ def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
         known = [str(sample.iteration) for sample in shown.samples if sample.iteration is not None]
         iterations = f"; samples start at the iterations {', '.join(known)}" if known else ""
         expected = f"times from {motion.time[0]:.2f} to {motion.time[-1]:.2f} s{iterations}"
-        raise WheellegError("no frame was recorded in the selected time", expected=expected)
+        raise WheellegError("no control step was recorded at the selected times", expected=expected)
     return found
 
 
@@ -102,7 +102,7 @@ def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float)
         expected = f"at most {_MOST_PICTURES}: --from, --to, --speed"
         raise WheellegError(f"the video would have too many frames: {count}", expected=expected)
     moments = time[0] + np.arange(count) * speed / fps
-    # Add 1e-9 s to the time of each video frame, because the recorded simulated times have rounding errors.
+    # Add 1e-9 s to the time of each video frame, because recorded simulation times have rounding errors.
     return np.asarray(rows[np.clip(np.searchsorted(time, moments + 1e-9, side="right") - 1, 0, len(rows) - 1)])
 
 

@@ -181,7 +181,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
         elif address.path == RECORDING and self._recording.is_file():
             with self._recording.open("rb") as file, suppress(ConnectionError):
-                # Send a fixed number of bytes, because a training can append to the recording during the transfer.
+                # Send only the file's present bytes, because a training can append to the file during the transfer.
                 left = file.seek(0, 2)
                 file.seek(0)
                 self._reply(ok, {"Content-Type": "application/octet-stream", **_HEADERS}, left)

@@ -43,7 +43,7 @@ def parse_length(text: str, key: str) -> Length:
         value, unit = float(match.group(1)), match.group(2)
         return Length(value, True) if unit in _STEPS else Length(value * _SECONDS[unit], False)
     expected = "a number with s, ms or steps, such as 0.5s"
-    raise WheellegError(f"'{text}' is not a valid length of time", key=key, expected=expected)
+    raise WheellegError(f"'{text}' is not a valid duration", key=key, expected=expected)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Selection:
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
-        except WheellegError:  # A row without a time is outside a selection of times, and likewise for iterations.
+        except WheellegError:  # A row without a time (iteration) is outside every range of times (iterations).
             return False
 
 
@@ -105,7 +105,7 @@ def require_order(selection: Selection) -> None:
     """Raise WheellegError if the end of a selection is before its start."""
     begin, end = selection.begin, selection.end
     if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
-        raise WheellegError("the selected time --to is before --from", key="--to", expected=f"{begin.value:g} or later")
+        raise WheellegError("the end --to is before the start --from", key="--to", expected=f"{begin.value:g} or later")
 
 
 def _half_step(table: pa.Table) -> float:
@@ -123,7 +123,7 @@ def parse_iterations(text: str) -> tuple[int, int]:
     if first.isdecimal() and (last.isdecimal() or text == first):
         if last and int(last) < int(first):
             raise WheellegError(
-                f"the range '{text}' ends before its start", key="--iteration", expected=f"{last}-{first}"
+                f"the iteration range '{text}' ends before its start", key="--iteration", expected=f"{last}-{first}"
             )
         return int(first), int(last or first)
     expected = "a number, or a range such as 50-60"

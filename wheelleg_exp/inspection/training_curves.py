@@ -51,7 +51,7 @@ def endings(scalars: Scalars) -> list[Panel]:
     shown = [name for name in order if np.any(np.asarray(causes[name][1]) != 0)] or order[:1]
 
     def draw(axes: Axes) -> None:
-        # Do not stack the shares of termination terms, because an episode that two terms end counts for both terms.
+        # Do not stack the curves of termination terms, because an episode that two terms end counts for both terms.
         for i, name in enumerate(shown):
             draw_curve(axes, *causes[name], colour(i), name)
         over_iterations(axes)

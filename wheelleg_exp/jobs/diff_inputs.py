@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import changed_states
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
-# The config sections that can change the numerical results of a training.
+# ``SECTIONS`` names the config sections that can change the numbers that a training computes.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
 _CODE = ("commit", "tree", "dirty", "patch_sha256")
 
@@ -77,7 +77,7 @@ def split_words(text: str) -> list[str]:
             depth += (letter in "([{") - (letter in ")]}")
     if quote or depth > 0:
         raise WheellegError(
-            "the command line cannot be split into words", key=text, expected="closed quotes and brackets"
+            "the command line has an unclosed quote or bracket", key=text, expected="closed quotes and brackets"
         )
     return [word for word in words if word]
 

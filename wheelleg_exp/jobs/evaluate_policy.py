@@ -102,7 +102,7 @@ def _is_of_protocol(override: str) -> bool:
     return key.split(".")[0].split("@")[0] in ("protocol", "seed")
 
 
-# A function that draws plots of an evaluation as files in a folder, and returns these files.
+# ``Draw`` is a function that writes plots of an evaluation into a folder and returns the paths of the plots.
 Draw = Callable[[Evaluation, Path], list[Path]]
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"

@@ -32,7 +32,7 @@ _COMMAND = ("wheelleg", "results")
 class Reproduction:
     """The result of a reproduction."""
 
-    differences: list[str]  # ``differences`` describes each number that differs bitwise from the recorded number.
+    differences: list[str]  # Each text describes a number that differs bitwise from the number in the result record.
     machine: list[FactDifference]  # differences in hardware, versions, and threads that may change the result's numbers
     other_code: bool  # whether the current source files differ from those of the recorded trainings
 

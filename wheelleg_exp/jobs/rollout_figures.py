@@ -33,7 +33,7 @@ class StandFigures:
     pitch_rms_deg: float  # against upright
     pitch_mean_deg: float
     mean_return: float | None
-    ended_by: dict[str, int]  # the number of episodes that a termination term, or several simultaneous terms, ended
+    ended_by: dict[str, int]  # for each termination term (or several at once), the number of episodes that it ended
     non_finite: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -112,7 +112,7 @@ class ContactFigures:
     body: str
     mean_n: float
     max_n: float
-    contact_share: float  # ``contact_share`` is the share of a standing robot's steps in which ``body`` has contact.
+    contact_share: float  # the share of control steps (of standing robots) in which the link ``body`` has contact
     steps: int  # the number of control steps with a standing robot, summed over all environments
 
 

@@ -31,7 +31,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
-_MAX_CHARACTERS = 400_000  # The recording viewer cannot show texts of more than 400,000 characters.
+_MAX_CHARACTERS = 400_000  # The Rerun viewer cannot show texts of more than 400,000 characters.
 
 
 def fenced(text: str, language: str) -> str:

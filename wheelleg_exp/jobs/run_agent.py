@@ -37,8 +37,8 @@ class AgentRun:
 
     folder: Path
     recording: Path | None
-    contacts: dict[str, list[ContactFigures]]  # For each contact sensor, the forces on each link of standing robots.
-    figures: StandFigures  # the durations and terminations of the first episodes of all environments
+    contacts: dict[str, list[ContactFigures]]  # maps each contact sensor to the forces on the links of standing robots
+    figures: StandFigures  # the duration and termination of the first episode of each environment
     failures: FailureCount  # the episodes that ended because a number was NaN or inf
 
 

@@ -155,7 +155,7 @@ class SweepRunner:
                 self._end(lambda job: job.interrupt(), _PATIENCE_S)
                 self._end(lambda job: job.kill(), _PATIENCE_S)
             finally:
-                for job in self._running:  # The third interrupt by the user ends the wait for the jobs.
+                for job in self._running:  # If the user's third Ctrl-C ended the wait for the jobs, kill the jobs.
                     job.kill()
                     job.close()
 

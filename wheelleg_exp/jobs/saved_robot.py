@@ -46,7 +46,7 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 def saved_mjcf(directory: RunDirectory) -> Path:
     """Return the path of the robot's MJCF file in a run directory."""
-    # Raise an error for an MJCF file with an element that no conversion writes.
+    # Raise an error for an MJCF element that wheelleg_exp's robot converter never writes.
     # An unknown MJCF element can make MuJoCo read arbitrary files, load libraries, or allocate any amount of memory.
     path = directory.asset / MJCF
     if not path.is_file():
@@ -58,7 +58,7 @@ def saved_mjcf(directory: RunDirectory) -> Path:
         raise RunDirectoryError(f"the file is not an MJCF: {error}", key=str(path)) from error
     for element in elements:
         if element.tag in _FORBIDDEN_TAGS:
-            raise RunDirectoryError(f"the file contains <{element.tag}>, which no conversion writes", key=str(path))
+            raise RunDirectoryError(f"the file contains <{element.tag}>, which converted robots lack", key=str(path))
         for name, value in element.items():
             if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
                 message = f"the file names {value!r}, outside its folder"

@@ -29,7 +29,7 @@ SOON, NOW = "soon", "now"  # the content of STOP
 _FOLDER = "jobs"
 _WAIT_S = 0.3
 _PATIENCE_S = 90.0  # Wait less than the 120 s after which Slurm kills a job that was asked to stop.
-# The import path of this process before submitit or Ray changes ``sys.path``.
+# Save the import path of this process before submitit or Ray changes ``sys.path``.
 _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 
 
@@ -51,7 +51,7 @@ class QueueWorker:
             raise RuntimeError("the job has already run, and a job runs only once")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # A different Python installation has its own import path.
+        path = request["path"] if same else sys.path  # This machine may lack the sender's Python folders.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
         with ThreadPoolExecutor(1) as reader:  # A signal interrupts the main thread, not the thread ``reader``.
@@ -209,7 +209,7 @@ class Queue:
         yield from found
 
 
-# The settings that submitit accepts without the name of an executor as prefix.
+# submitit accepts ``_SHARED_SETTINGS`` without an executor's prefix such as ``slurm_``.
 _SHARED_SETTINGS = (
     *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
@@ -270,7 +270,7 @@ class _SubmititTicket:
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
 
-_OBJECT_STORE = 78_643_200  # Ray's minimum memory size in bytes is enough, because tasks exchange only folder names.
+_OBJECT_STORE = 78_643_200  # ``_OBJECT_STORE`` is the minimum size of Ray's object store, bytes.
 _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
 
 

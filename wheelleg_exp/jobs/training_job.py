@@ -32,7 +32,7 @@ class JobRequest:
     overrides: list[str]
     config_dirs: list[str]
     command: list[str]  # The run's manifest records ``command``, a wheelleg command line that does the same job.
-    digest: str = ""  # the hash of a training's config when the config was checked
+    digest: str = ""  # the hash of the training's config, computed when the parent process checked the config
     run: str = ""
     checkpoint: str = ""
     root: str = "runs"  # the root folder of all runs

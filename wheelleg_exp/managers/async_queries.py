@@ -29,7 +29,7 @@ class AsyncMaskQuery:
             self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=on_gpu)
             self._ids = torch.empty(4, count if on_gpu else 0, dtype=torch.long, device="cpu", pin_memory=on_gpu)
             self._none = torch.zeros(0, dtype=torch.long, device=device)
-        # NumPy finds the indices of a small mask ten times as fast as torch does.
+        # NumPy finds the true elements of a small mask ten times as fast as torch does.
         self._host_masks, self._host_ids = self._masks.numpy(), self._ids.numpy()
         self._copied = [torch.cuda.Event(), torch.cuda.Event()] if on_gpu else []
         self._has_late = False
@@ -93,7 +93,7 @@ def is_finite(total: torch.Tensor) -> bool:
     watch = _watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)  # a check for NaN and inf in a CUDA graph cannot wait for the GPU
+    watch.note(total)  # Check this number for NaN and inf later, to avoid a wait for the GPU.
     return True
 
 
@@ -143,4 +143,4 @@ class _FiniteWatch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # the object that detects NaN and inf on a GPU, by the index of the GPU
+_watches: dict[int, _FiniteWatch] = {}  # The key is the index of the GPU on which the object detects NaN and inf.

@@ -162,7 +162,7 @@ class CommandManager(ManagerBase):
 
     def may_draw(self, dt: float) -> bool:
         """Return whether a command may be drawn in a step of ``dt`` seconds, without waiting for a GPU."""
-        # Build a list, so that every term advances its timer; a generator would stop at the first True.
+        # Build a list, so that every command term advances its timer; with a generator, `any` stops at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
     def compute(self, dt: float, *, may_draw: bool = True) -> None:

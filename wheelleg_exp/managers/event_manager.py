@@ -123,7 +123,7 @@ class EventManager(ManagerBase):
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         term(self._env, ids)
-        self._env.scene.robot.data.invalidate()  # Clear cached data, which an event term may have changed.
+        self._env.scene.robot.data.invalidate()  # Clear cached robot data, because an event can change the robot.
         self._note_asked(name)
         require_finite_writes(self._env, term.path, self._asked[name], ids)
 

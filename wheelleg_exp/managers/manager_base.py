@@ -167,7 +167,7 @@ class Term(Kept):
         """Note the settings of the term from the config: later differences are state."""
         if self.settings is None:
             params = self.params if self._make is None or self._keeps_params else self.arguments
-            # The state of an observation includes its modifiers and noise.
+            # An observation term's modifiers and noise are saved as state, not as settings.
             skip = ("modifiers", "noise")
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
@@ -262,7 +262,7 @@ def instantiate_term(term: Term, env: Env) -> None:
 
     def make() -> TermBase:
         node = TermNode(term.name, term.path, term.target, {}, term.arguments)
-        for error in parameter_errors("commands", node, kind):  # the command manager reads no fields of command terms
+        for error in parameter_errors("commands", node, kind):  # The section "commands" reserves no keys of terms.
             raise error
         with term.blamed():
             arguments: dict[str, Any] = {"cfg": term}

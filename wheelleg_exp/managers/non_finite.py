@@ -17,7 +17,7 @@ from wheelleg_exp.managers.async_queries import is_calm, is_finite, note
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 
-MOST_SAVED = 16  # largest number of environments whose state is saved for one failure
+MOST_SAVED = 16  # The state of at most 16 environments is saved for one failure.
 PHYSICS = "env.sim"
 ACTIONS = "env.actions"
 POLICY = "agent.actor"

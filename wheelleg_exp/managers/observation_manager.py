@@ -18,7 +18,7 @@ from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.config_sections import read_section
 
-_SLICE = 100  # the memory of a Python slice object with two numbers, bytes
+_SLICE = 100  # A Python slice object with two numbers takes 100 bytes.
 
 
 class ObservationManager(Kept):
@@ -116,7 +116,7 @@ class ObservationManager(Kept):
             pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
             if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
                 self._unshare(group)
-        # If observation group A is a prefix of group B, compute B first, because A copies its values from B.
+        # If observation group A contains the first terms of group B, compute B first, because A copies values from B.
         order = sorted(self._groups, key=lambda group: group in self._prefixes)
         found = {group: self._computed(group, first, values) for group in order}
         self.obs_buf = {group: found[group] for group in self._groups}
@@ -184,7 +184,7 @@ class ObservationManager(Kept):
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim
-            if length is None:  # history settings of a group override those of the group's terms
+            if length is None:  # The history settings of an observation group override those of its terms.
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
@@ -269,7 +269,7 @@ def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # Per observed number and step, histories need two float32 values in each environment and two shared int64 indices.
+    # Each number and step of a history needs two float32 values per environment, and two int64 indices in total.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

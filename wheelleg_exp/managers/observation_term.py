@@ -269,7 +269,7 @@ class GroupLayout:
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
         self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
-        self._dim += self._dim >= 0  # A batch of observations has the environments as first dimension.
+        self._dim += self._dim >= 0  # A batch has an additional first dimension, the environments.
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
         """Reshape a history (N, H, ...) of one term to the shape that ``join`` expects."""

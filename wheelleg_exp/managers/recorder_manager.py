@@ -17,8 +17,8 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 Recorded = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
 Arrays = dict[str, np.ndarray]
-_SUCCESS = "success"  # the name of the termination that makes an episode a success
-_OWN = ("episode", "rows")  # reserved prefixes of keys that describe episodes
+_SUCCESS = "success"  # An episode that the termination `success` ends is a success.
+_OWN = ("episode", "rows")  # Recorder terms cannot use keys with these prefixes.
 _FIRST_ROOM = 64  # rows
 
 
@@ -247,7 +247,7 @@ class RecorderManager(ManagerBase):
                     first = self._owners.setdefault(key, term.path)
                     if first != term.path:
                         raise ConfigError(
-                            f"the key '{key}' is already recorded by {first}", expected="a key for each quantity"
+                            f"the key '{key}' is already recorded by term {first}", expected="a key for each quantity"
                         )
                     if key.split("/")[0] in _OWN:
                         raise ConfigError(

@@ -49,7 +49,7 @@ class Streams(Kept):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore the seed and the state of each random generator from a checkpoint."""
-        self.reseed(saved["seed"])  # random streams that the saved state lacks start from the seed
+        self.reseed(saved["seed"])  # A random stream that the checkpoint lacks starts from the seed.
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
 

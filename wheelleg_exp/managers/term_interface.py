@@ -130,7 +130,7 @@ def member(scene: Scene, name: str, key: str) -> Any:
     """Return a robot or sensor of the scene by name; raise ConfigError with ``key`` if the name does not exist."""
     if name not in list(scene):
         known, nearest = "one of " + ", ".join(scene), nearest_name(name, scene)
-        raise ConfigError(f"the scene has no '{name}'", key=key, expected=known, nearest=nearest)
+        raise ConfigError(f"the scene has no robot or sensor '{name}'", key=key, expected=known, nearest=nearest)
     return scene[name]
 
 

@@ -11,6 +11,6 @@
 
 import os
 
-# rerun reads the variable RUST_LOG when Python imports rerun.
+# rerun reads the environment variable RUST_LOG when Python imports rerun.
 # A recording has no index until it is closed, and rerun would warn about each recording without an index.
 os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")

@@ -67,7 +67,7 @@ def blueprint(
         rrb.Horizontal(_robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # The viewer's time axis counts control steps in a training's recording, and simulated time in other recordings.
+        # The viewer's time axis shows control steps for a training's recording, else simulated time.
         rrb.TimePanel(state="collapsed", timeline=layout.STEP if purpose == "training" else layout.SIM_TIME),
     )
 

@@ -17,7 +17,7 @@ TRAINING = "training"
 LOG = "log"
 HIDDEN = "__"  # rerun's viewer hides each entity whose path starts with two underscores.
 PROPERTIES = "__properties"
-OWN = "wheelleg"  # A recording stores its properties under the name `wheelleg`.
+OWN = "wheelleg"  # This program stores a recording's properties, such as its purpose, below the key `wheelleg`.
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
 
 FORMAT_VERSION = 2  # Recordings of format 1 lack metadata such as the seed, and store one vector per observation group.

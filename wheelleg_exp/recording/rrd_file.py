@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 MAGIC = b"RRF2"
 HEADER_SIZE = 12
-SERIALIZER_AT, PROTOBUF = 9, 2  # Byte 9 of an rrd file states the encoding of its messages; 2 means protobuf.
+SERIALIZER_AT, PROTOBUF = 9, 2  # Byte 9 of an rrd file states the message encoding; the value 2 means protobuf.
 INDEX, STORE_INFO, ROWS, BLUEPRINT_ACTIVATION = range(4)
 APPLICATION = "wheelleg"
 

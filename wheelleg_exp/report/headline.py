@@ -13,7 +13,7 @@ from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
 _GOOD, _FAIR = 0.95, 0.5  # The share of episodes with a time-out is green from 95 %, yellow from 50 %, red below.
-# The colour in which the report shows each status of a run.
+# ``TONES`` maps a run's status to its colour in the report.
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 

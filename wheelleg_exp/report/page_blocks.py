@@ -75,7 +75,7 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True  # whether the page shows the table's title, which a heading can replace
+    titled: bool = True  # False if a heading of the page replaces the table's title
 
 
 @dataclass(frozen=True)

@@ -225,7 +225,7 @@ class Repeat:
     """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
     label: str  # The task and id of the run that is compared with the reported run.
-    how: str  # The run ``label`` is a ``replay`` of the reported run, its ``original``, or has the ``same settings``.
+    how: str  # ``replay``, ``original``, or ``same settings``: how the compared run relates to the reported run.
     verdict: str  # The result of comparing the run ``label`` with the reported run, or ``not compared``.
     reason: str
     lines: Sequence[str]  # the whole comparison

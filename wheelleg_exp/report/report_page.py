@@ -30,7 +30,7 @@ from wheelleg_exp.report.report_subject import AGENT, KIND, Subject
 from wheelleg_exp.report.value_format import whole_units
 from wheelleg_exp.run.run_list import non_finite_note
 
-# A mark in the report page that names the run, so that a later report of the same run can overwrite the page.
+# The report page contains ``MARK`` and the run, so that a later report of the same run can overwrite the page.
 MARK = '<meta name="wheelleg-report" content="'
 
 
@@ -52,7 +52,7 @@ def render_page(page: Page) -> str:
 
 
 NAME = "report.html"
-_HEAD = 4096  # The first 4096 bytes of a report contain the mark that names the run.
+_HEAD = 4096  # The first 4096 bytes of a report contain ``MARK`` and the run.
 
 
 def report_path(subject: Subject, output: Path | None) -> Path:

@@ -43,7 +43,7 @@ class Subject:
     status: str = AGENT  # a training run's status, such as ``crashed``, or ``agent`` for a zero or random agent's run
     config: dict[str, Any] = field(default_factory=dict)  # the run's resolved config sections ``env`` and ``agent``
     overrides: list[str] | None = None  # the user's Hydra overrides, or None if they are unknown
-    choices: dict[str, Any] = field(default_factory=dict)  # Hydra's option for each config group (``task``, …)
+    choices: dict[str, Any] = field(default_factory=dict)  # the selected option of each Hydra config group
     config_dirs: tuple[Path, ...] = ()
     scalars: dict[str, Series] = field(default_factory=dict)
     agent_figures: dict[str, Any] = field(default_factory=dict)

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
     from wheelleg_exp.inspection.plot_style import Panel
 
-# The config keys in which runs of one group can differ: seeds, names, and output options.
+# Runs form one group if their configs differ only in ``_ASIDE``: seeds, names, and output options.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
 BANDS = "The mean over the seeds of a setting, at iterations that all seeds have, and one standard deviation."
-# The config sections and keys that make the returns of two runs incomparable if they differ.
+# The returns of two runs cannot be compared if the runs differ in a config key of ``_MEASURE``.
 _MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"

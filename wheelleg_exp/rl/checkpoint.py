@@ -23,7 +23,7 @@ _READABLE = (1, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
 # An rsl_rl algorithm has two networks: an actor and a critic, or a student and a teacher.
 ROLES = ("actor", "critic", "student", "teacher")
-# The limits for a loaded checkpoint: number of objects, nesting depth, ratio of tensor size to file size.
+# These values limit a checkpoint's number of objects, its nesting depth, and its tensor bytes per byte of the file.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
@@ -63,7 +63,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
                 waiting += [(item, depth + 1) for item in value]
             if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
                 raise ValueError("the checkpoint contains too many objects or too large tensors")
-    except Exception as error:  # A damaged checkpoint can raise any exception. torch never executes code in it.
+    except Exception as error:  # A damaged checkpoint can raise any exception; torch runs no code from the file.
         message = "the file cannot be read as a checkpoint: it is damaged, or contains data of unknown types"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run") from error
     state = state if isinstance(state, dict) else {}

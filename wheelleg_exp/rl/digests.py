@@ -19,10 +19,10 @@ from wheelleg_exp.state.saved_values import bytes_of
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# The version of the hash algorithm for checkpoints. Hashes of different versions cannot be compared.
+# ``FORMAT`` is the version of the hash algorithm for checkpoints; hashes of different versions cannot be compared.
 FORMAT = 1
 
-# Two different states have equal hashes of 16 hexadecimal digits with a probability of 5e-20.
+# Two different checkpoints have equal hashes of 16 hexadecimal digits with a probability of 5e-20.
 _LENGTH = 16
 _LABELS = ("format_version", "iter", "infos", "ranks")
 

@@ -39,7 +39,7 @@ def onnx(policy: MLPModel) -> bytes:
     names = {"input_names": model.input_names, "output_names": model.output_names}
     axes = {name: {0: "batch"} for name in (*model.input_names, *model.output_names)}
     file: Any = io.BytesIO()
-    # Use torch's tracing exporter: torch.export takes two seconds and caches data for every batch size.
+    # Use torch's old tracing ONNX exporter, because `torch.export` takes two seconds and caches data per batch size.
     settings: dict[str, Any] = {"opset_version": _OPSET, "dynamo": False, "verbose": False}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -32,7 +32,7 @@ _ANY = ("", "ALL", "DEFAULT")
 # ``_WITH_VECTORS`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
 # ``_COUNTS`` lists the thread counts with which ``products_depend_on_threads`` computes matrix products.
-# With 16 threads, a matrix product can equal the product with one thread even if two threads give another product.
+# Try several counts: products with 1 and 16 threads can be equal even if the product with 2 threads differs.
 _COUNTS = (1, 2, 3, 4, 8, 16)
 
 

@@ -14,7 +14,7 @@ JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
 _MAX_JOINT_DISTANCE = 0.02  # of the robot's size
 _FLIP = np.array([1.0, -1.0, 1.0])  # mirrors y
 MIRROR = np.diag(_FLIP)
-# The smallest allowed cosine of the angle between a joint's axis and the mirrored axis of the paired joint.
+# The cosine between a joint's axis and the mirrored axis of the paired joint must have at least this magnitude.
 _MIN_AXIS_COSINE = 0.99
 
 
@@ -38,7 +38,7 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
             raise ConfigError(f"the regular expression is invalid: {error}", key=key, expected=expected) from error
         if not matches:
             expected, nearest = "the whole name of one of " + ", ".join(names), nearest_name(expression, names)
-            raise ConfigError("the expression matches no joint name", key=key, expected=expected, nearest=nearest)
+            raise ConfigError("the regular expression matches no joint", key=key, expected=expected, nearest=nearest)
         for match, other in zip(matches, images, strict=True):
             if other not in names:
                 expected, nearest = "one of " + ", ".join(names), nearest_name(other, names)
@@ -61,7 +61,7 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
     turn, origin = data.xmat[base].reshape(3, 3).T, data.xpos[base].copy()
     ids = [model.joint(name).id for name in names]
     bodies = [model.jnt_bodyid[joint] for joint in ids]
-    # Each pair is a joint's anchor and the centre of mass of the body that the joint moves, in the axes of the base.
+    # ``places`` contains each joint's anchor and the centre of mass of the moved body, relative to the base, m.
     pairs = zip(data.xanchor[ids], data.xipos[bodies], strict=True)
     places = np.array([[turn @ (anchor - origin), turn @ (centre - origin)] for anchor, centre in pairs])
     axes = np.array([turn @ data.xaxis[j] for j in ids])
@@ -91,7 +91,7 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 
 
 _MAX_BODY_DISTANCE = 0.02  # of the robot's size
-# The largest allowed difference between the entries of a body's rotation matrix and of its mirrored rotation matrix.
+# A body's mirrored rotation matrix and the rotation matrix of its image can differ by this value per entry.
 _MAX_FRAME_ERROR = 0.02
 
 
@@ -122,7 +122,7 @@ class BodyImages:
         parents = [number.get(int(model.body_parentid[body])) for body in ids]
         for body in sorted(range(len(ids)), key=lambda i: ids[i]):
             if self._images[body] is None:
-                # A body's image is the child of its parent's image that is nearest to the body's mirrored position.
+                # Choose, among the children of the parent's mirror image, the body nearest to the mirrored position.
                 above = None if (parent := parents[body]) is None else self._images[parent]
                 others = [i for i, other in enumerate(parents) if above is not None and other == above]
                 apart = np.linalg.norm(self._places[others] - MIRROR @ self._places[body], axis=1)

@@ -41,7 +41,7 @@ BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
 }
 # ``IMU_RULES`` contains left-right mirror rules for measurements of an IMU, expressed in the IMU's axes.
 IMU_RULES = {f"imu_{kind}": kind for kind in ("vector", "pseudovector", "quaternion")}
-COMMAND_RULE = "command"  # The rule ``command`` mirrors an observed command by the rule for the command's class.
+COMMAND_RULE = "command"  # The rule ``command`` mirrors an observed command by the mirror rule of its class.
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
@@ -100,7 +100,7 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     ``mirror_rays`` raises ConfigError for a sensor that is not a ray caster or whose rays are not symmetric.
     """
     if not isinstance(sensor, RayCaster):
-        raise ConfigError("the observation needs a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
+        raise ConfigError("the sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
     flip = torch.tensor([1.0, -1.0, 1.0], device=sensor.device)
     found = torch.cat([part.expand(sensor.num_rays, 3) for part in sensor.rays], dim=1)
@@ -178,7 +178,7 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            # If left and right legs alternate, a mirrored gait is half a cycle later, so its sine and cosine flip sign.
+            # In an alternating gait, mirroring shifts the phase by half a cycle, so its sine and cosine flip sign.
             offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
             for offset in offsets:
                 if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:

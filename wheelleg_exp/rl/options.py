@@ -155,7 +155,7 @@ def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
 def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
     """Return an error if a training iteration has less than two samples, or fewer samples than minibatches."""
     samples = num_envs * int(agent["num_steps_per_env"])
-    if samples < 2:  # PPO divides advantages by their standard deviation.
+    if samples < 2:  # PPO divides advantages by their standard deviation, which needs two samples.
         message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"
         return [ConfigError(message, key="agent.num_steps_per_env", expected=expected)]
     if agent["algorithm"].get("num_mini_batches", 1) <= samples:

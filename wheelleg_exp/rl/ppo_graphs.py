@@ -21,7 +21,7 @@ from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
 _MIRROR_LOSS = "symmetry"  # rsl_rl's name
-# The bounds of rsl_rl's adaptive learning rate, and the factor by which the learning rate changes.
+# rsl_rl's adaptive learning rate has a lower and an upper bound, and changes by a constant factor.
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
@@ -47,7 +47,7 @@ class CapturedPPO:
 
     def __init__(self, algorithm: PPO) -> None:
         self.update = CapturedUpdate(algorithm)
-        # The CUDA graph for acting draws actions from a normal distribution.
+        # A CUDA graph draws actions only from a normal distribution; rsl_rl draws actions from other distributions.
         is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
         self.act = CapturedActing(algorithm) if is_normal else algorithm.act
 
@@ -105,7 +105,7 @@ class CapturedUpdate:
                 self._capture(order)
             self._each(order, self._graph.replay)
         else:
-            # Use the CUDA stream of the graph capture, because torch accumulates gradients on their first stream.
+            # Run the first update on the CUDA stream of the capture, because torch reuses a gradient's first stream.
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -113,7 +113,7 @@ class CapturedUpdate:
             self._ran = True
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
-            # Update the observations' means and standard deviations in place, where the CUDA graph reads them.
+            # Update means and standard deviations of observations in place, because the CUDA graph reads them there.
             before = dict(network.named_buffers())
             network.update_normalization(observations)
             for name, static in before.items():
@@ -173,7 +173,7 @@ class CapturedUpdate:
                 if algorithm.is_multi_gpu:
                     torch.distributed.all_reduce(divergence)
                     divergence /= algorithm.gpu_world_size
-                # Lower the learning rate if the policy changed too much, and raise it if the policy changed too little.
+                # Lower the learning rate if the KL divergence is too large, and raise the rate if it is too small.
                 desired, rate = self._algorithm.desired_kl, self._rate
                 slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
                 raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)

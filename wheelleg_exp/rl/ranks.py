@@ -84,7 +84,7 @@ def error_facts(error: WheellegError | None) -> dict[str, str | None]:
     return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
 
 
-# The time for which one process (rank) may convert a robot or compile kernels while all other ranks wait.
+# All processes (ranks) wait at most 30 minutes for one rank that converts a robot or compiles kernels.
 _PATIENCE = timedelta(minutes=30)
 
 
@@ -278,7 +278,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # After an error, destroy_process_group would wait for stopped processes.
+    dist.destroy_process_group()  # After an error, skip this call, because it would wait for dead ranks.
 
 
 OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")

@@ -13,7 +13,7 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # The scalar named ``SCALAR`` + config key counts a term's NaN and inf.
+SCALAR = "Diagnostics/non_finite/"  # The scalar `<SCALAR><term's key>` counts episodes that a term's NaN or inf ended.
 
 
 class FailureCount:
@@ -53,7 +53,7 @@ def logged(scalars: Mapping[str, float]) -> dict[str, int]:
     return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
 
 
-_EPISODES = 100  # The number of finished episodes in the mean reward and the mean episode length, as in rsl_rl.
+_EPISODES = 100  # Mean reward and mean episode length cover the last 100 finished episodes, as in rsl_rl.
 
 
 class EpisodeLog:

@@ -128,7 +128,7 @@ class Trainer:
         with self.ranks.agreed():
             self._require_finite(losses)
         if self.ranks.together:
-            # Copy the running means of observations from the first process, because each process has different samples.
+            # Copy the running means of observations from rank 0 to all ranks, because each rank has different samples.
             networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
             with communicating():
                 for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):

@@ -28,8 +28,8 @@ class RslRlVecEnv(VecEnv):
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
         self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
-        self.mirror: Any = None  # the object that mirrors samples for rsl_rl's symmetry extension
-        self.half: Any = None  # the object that mirrors every second environment during training
+        self.mirror: Any = None  # ``mirror`` mirrors samples for rsl_rl's symmetry extension.
+        self.half: Any = None  # ``half`` mirrors every second environment during training.
         env.reset()
 
     @property

@@ -42,7 +42,7 @@ _VARIABLES = re.compile(
     rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
 
-# The pattern of names of environment variables that can contain secrets and whose values are not stored.
+# Do not store an environment variable whose name contains a word such as TOKEN, because its value can be a secret.
 _SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY")
 
 _REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")

@@ -28,7 +28,7 @@ class FileRecord(TypedDict):
 class FileFindings:
     """The sorted relative paths of a run's files that differ from the run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # The files that are missing, or replaced by symbolic links.
+    missing: list[str] = field(default_factory=list)  # files of the manifest that are missing or are symbolic links
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)

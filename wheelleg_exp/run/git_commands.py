@@ -19,7 +19,7 @@ _TIMEOUT_S = 300
 # A git object id has 40 hexadecimal digits, or 64 in a repository that uses sha256.
 OBJECT_ID = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
 
-# The environment variables, set by git hooks for example, that redirect a git command to a different repository.
+# Git hooks set environment variables that redirect a git command to a different repository.
 _MISLEADING = (
     *("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX"),
     *("GIT_ALTERNATE_OBJECT_DIRECTORIES", "GIT_NAMESPACE", "GIT_EXTERNAL_DIFF", "GIT_DIFF_OPTS"),
@@ -48,8 +48,8 @@ class Repository:
     """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)  # The environment variables that every git command gets.
-    settings: dict[str, str] = field(default_factory=dict)  # Git settings that replace the user's settings.
+    environ: dict[str, str] = field(default_factory=dict)  # environment variables that are set for each git command
+    settings: dict[str, str] = field(default_factory=dict)  # git settings that replace the user's git settings
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return the command's output; raise GitError for a failure."""

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
 
-# The prefix of the scalars that are wall-clock times and can differ between two equal runs.
+# Scalars with the prefix ``Perf/`` are wall-clock times, which differ even between two equal runs.
 _TIMES = "Perf/"
 
 

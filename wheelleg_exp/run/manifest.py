@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # In format 1, ``sha256`` is a hash of the parsed values, not of the file's bytes.
+FORMAT_WITH_VALUE_DIGEST = 1  # In manifest format 1, ``sha256`` hashes the manifest's values, not the file's bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -145,7 +145,7 @@ def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# The files that a run writes only before its first step; all other files of the run can grow during the training.
+# A run writes the files in ``SNAPSHOT`` only before its first step; other files can grow during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
 # `wheelleg resume` replaces the values of `_PROCESS_KEYS` in a run's manifest, and stores the old values in `resumes`.
@@ -155,7 +155,7 @@ _PROCESS_KEYS = (
 )
 
 _LOCK_TIMEOUT_S = 20.0
-# A resume's entry in ``manifest.json`` has this key until the resume has written all changed config files.
+# A resume's entry in ``manifest.json`` has the key ``files_to_write`` until all changed config files are written.
 _PENDING = "files_to_write"
 
 
@@ -237,7 +237,7 @@ class Manifest:
             tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
         for name in (name for table in tables for name in table):
             if not is_inside(name):
-                raise RunDirectoryError(f"the manifest names the file {name!r} outside its directory", where=where)
+                raise RunDirectoryError(f"the manifest names the file {name!r} outside the run directory", where=where)
         return cls(path, data)
 
     @property

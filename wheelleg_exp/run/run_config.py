@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from omegaconf.base import Container
 
 PARTS = ("env", "agent")
-# The keys of ``agent`` on which a trained policy depends; the remaining keys of ``agent`` affect only training.
+# A trained policy depends on the ``POLICY_KEYS`` of ``agent``; other keys of ``agent`` affect only the training.
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
@@ -100,13 +100,13 @@ def _load_mapping(path: Path) -> dict[str, Any]:
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-# The config sections that a run directory stores only with unresolved interpolations.
+# A run directory stores the config sections in ``SECTIONS`` only with unresolved interpolations.
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
 _MAX_STEPS = 10_000  # The largest number of interpolations that are resolved in one config.
-_MAX_LETTERS = 100_000  # The largest total length of all config values with interpolations.
+_MAX_LETTERS = 100_000  # The largest total number of characters in config values with interpolations.
 _NO_DEFAULT = object()
-# Matches an option, a setting of Hydra itself, or a resolver call, none of which is allowed in recorded overrides.
+# ``_FORBIDDEN`` matches a command option, a setting of Hydra itself, or a resolver call.
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 

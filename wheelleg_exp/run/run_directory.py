@@ -154,7 +154,7 @@ class RunDirectory(os.PathLike[str]):
     exported = _PathInside("exported")  # The folder with the exported policies of a run.
     play = _PathInside("play")  # The folder with the recordings that ``wheelleg play`` made.
     videos = _PathInside("videos")  # The folder with the videos of the training.
-    dataset = _PathInside("dataset")  # The folder with the episodes that recorders saved during the training.
+    dataset = _PathInside("dataset")  # The folder with the episodes that recorder terms saved during the training.
     evaluation = _PathInside("evaluation")  # The folder with the results of a run's evaluations.
     recording = _PathInside("recording.rrd")  # The file with the recording of the training.
     iterations = _PathInside("iterations.jsonl")  # The file with one line of JSON for each training iteration.

@@ -31,7 +31,7 @@ CRASHED, DAMAGED = "crashed", "damaged"
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
 _TAIL_BYTES = 65536  # The number of bytes to read at the end of iterations.jsonl; all lines of this file are shorter.
-# For each performance metric of a training, the name of the logged scalar that contains the metric.
+# ``FIGURES`` maps each performance metric of a training to the name of a logged scalar.
 FIGURES = {
     "return": "Train/mean_reward",
     "episode_length": "Train/mean_episode_length",
@@ -63,8 +63,8 @@ class RunSummary:
     played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last ``wheelleg play``.
     evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
-    seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume.
-    bytes: int | None = None  # The total size of the files directly in a run directory.
+    seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume, s.
+    bytes: int | None = None  # The size of all files directly in the run directory, without subfolders, in bytes.
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
@@ -95,7 +95,7 @@ def summarize(folder: Path) -> RunSummary:
         written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
         total = int(written[1]) if written else None
     match = _FOLDER.fullmatch(folder.name)
-    results: dict[str, dict[str, Any]] = {}  # The newest results of each kind of command, such as ``play``.
+    results: dict[str, dict[str, Any]] = {}  # maps a command, such as ``play``, to its newest results in the manifest
     bundles = []
     for entry in data["additions"]:
         kind, found = str(entry.get("kind")), entry.get("results")

@@ -32,7 +32,7 @@ _RECORD = {
 }
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
-# Git settings with which git neither converts line ends nor downloads Git LFS files.
+# With ``_SETTINGS``, git neither converts line ends nor downloads Git LFS files.
 _SETTINGS = {"core.autocrlf": "false", "core.eol": "lf", "core.hooksPath": os.devnull, "filter.lfs.required": "false"}
 _SETTINGS |= dict.fromkeys(("filter.lfs.smudge", "filter.lfs.clean", "filter.lfs.process"), "")
 

@@ -237,7 +237,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # In the temporary git index, undo the changes of files with a git filter; git removes an entry with mode 0.
+        # Undo changes of files with a git filter in the temporary git index; mode 0 removes a file from the index.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
@@ -313,7 +313,7 @@ def _sizes(repository: Repository, paths: Iterable[str]) -> dict[str, int]:
 
 def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
     """Return the files that git passes through a filter program, such as Git LFS or an encryption program."""
-    # To store a filtered file, git would run the filter program, so source snapshots leave out filtered files.
+    # To store a file with a git filter, git would run the filter program, so source snapshots omit such files.
     programs = git.filters(repository)
     if not programs or not paths:
         return []

@@ -72,7 +72,7 @@ class ArticulationData(RobotData):
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # ``_vel_before`` has the bodies' velocities at the last step's start; None until code reads accelerations.
+        # ``_vel_before`` has the bodies' velocities before the last physics step; None until code reads an acceleration.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
@@ -206,10 +206,10 @@ class ArticulationData(RobotData):
         After a reset or a write of velocities, all accelerations are 0 until the next physics step.
         """
         if self._vel_before is None:
-            # At the first read of an acceleration, compute the bodies' velocities at the start of the last step.
-            # Set the engine's qpos and qvel to the values at the start of the last physics step, and call ``forward``.
-            # After the bodies' velocities have been computed, restore the engine's present qpos and qvel.
-            # After the first read of an acceleration, each physics step stores the bodies' velocities.
+            # At the first read of an acceleration, compute the velocities that the bodies had before the last physics step.
+            # For this computation, set the engine's qpos and qvel to their values before that step, and call ``forward``.
+            # Then restore the engine's present qpos and qvel.
+            # After the first read of an acceleration, each physics step starts by storing the bodies' velocities.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
             self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))

@@ -34,7 +34,7 @@ class BatchEngine(Engine):
     exact = True
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
-        # Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; MuJoCo prints its warnings on the console.
+        # Stop MuJoCo from writing the log file MUJOCO_LOG.TXT into the current folder.
         config = mujoco.MjLogConfig.get()
         config.logto_file = False
         config.set()
@@ -55,7 +55,7 @@ class BatchEngine(Engine):
         self._all_warnings = torch.from_numpy(self.batch.warning)
         self._warnings = self._all_warnings[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
         self._initial = self.state[0:1].clone()
-        # In a row of MuJoCo's state, the velocities follow the positions.
+        # In MuJoCo's state vector, the joint velocities (qvel) follow the joint positions (qpos).
         start = (self.view("qpos").data_ptr() - self.state.data_ptr()) // self.state.element_size()
         self._is_motion = torch.zeros(self.state.shape[1], dtype=torch.bool)
         self._is_motion[start : start + model.nq + model.nv] = True
@@ -102,14 +102,14 @@ class BatchEngine(Engine):
             self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        rows = self.state.index_select(0, ids)  # ``BatchEngine.reset`` keeps finite positions and velocities.
+        rows = self.state.index_select(0, ids)  # Finite positions and velocities stay unchanged.
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        # At the start of a physics step, MuJoCo resets a simulation that has NaN or huge values, and counts a warning.
-        # Search qpos and qvel for NaN and inf, because MuJoCo checks a physics step's results only in the next step.
+        # MuJoCo checks for NaN and huge values only before a physics step, then resets the simulation and counts a warning.
+        # Therefore, also search the results of the last step, qpos and qvel, for NaN and inf.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
@@ -143,7 +143,7 @@ class BatchEngine(Engine):
             )
         at_set_const = None
         if self._at_set_const is not None:
-            # ``at_set_const`` has the values of the edited model fields at the last call of ``set_const``.
+            # ``at_set_const`` stores the model fields as the last call of MuJoCo's ``set_const`` read them.
             then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
             at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {
@@ -154,7 +154,7 @@ class BatchEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        # First call ``set_const`` with the model fields of its last call before the save; then load the saved fields.
+        # Repeat the last ``set_const`` before the save with the same model fields; then load the saved model fields.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)

@@ -81,16 +81,16 @@ class Robot(RobotWriters):
         self._has_new_targets = True
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
-        # ``_root_xfrc`` is a view (2, 3, N) of the force and the torque on the root link.
+        # ``_root_xfrc`` is a view (2, 3, N) of the external force and torque on the root links of N environments.
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
-        # ``_stale`` lists index tensors of the environments whose state was written since the last ``take_stale``.
-        # Most writes of a reset use the same index tensor, so a list of index tensors is cheaper than a mask.
+        # ``_stale`` lists the indices of environments whose robot state was written since the last call of ``take_stale``.
+        # A list of index tensors is cheaper than a mask, because most writes of a reset use the same index tensor.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # In memory, the environments are the last dimension of ``_wrench``, as in the result of ``quat_to_matrix``.
+        # The tensor ``_wrench`` of external forces and torques has the same memory order as a result of ``quat_to_matrix``.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
@@ -145,7 +145,7 @@ class Robot(RobotWriters):
             start = stop
         self._has_new_targets = False
         bodies = list(self._wrench_bodies)
-        if bodies == [0]:  # The root's rotation is part of the state and needs no forward kinematics.
+        if bodies == [0]:  # The simulation state contains the root link's rotation.
             self._root_xfrc.copy_((data.root_rot_w.permute(1, 2, 0) * self._root_wrench).sum(dim=2))
         elif bodies:
             world = data.body_rot_w[:, bodies] @ self._wrench[:, bodies]

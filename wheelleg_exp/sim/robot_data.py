@@ -16,7 +16,7 @@ from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
 from wheelleg_exp.state import Kept
 
-# Events can change the parameters in ``_SETTINGS``, whose initial values come from the config and the model.
+# ``_SETTINGS`` lists the robot parameters that events can change.
 _SETTINGS = (
     *("default_joint_pos", "default_joint_vel", "joint_pos_limits", "soft_joint_pos_limits", "soft_joint_vel_limits"),
     *("joint_effort_limits", "encoder_bias", "com_b"),
@@ -76,7 +76,7 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Create the view of actuator torques in the constructor: a new view contains zeros until the next physics step.
+        # Create the view of actuator torques now, because a view contains zeros until the first physics step after its creation.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:
@@ -296,7 +296,7 @@ class RobotData(Kept):
     @cached_until_change
     def body_lin_vel_w(self) -> torch.Tensor:
         """Velocities of the centres of mass of the robot's links, m/s, (N, B, 3)."""
-        # MuJoCo's cvel refers to the centre of mass of the kinematic tree; convert cvel to each body's centre of mass.
+        # MuJoCo's cvel is the velocity of a body's point at the centre of mass of the whole kinematic tree.
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
         offset = self._output("xipos")[:, self._body_ids] - tree_com

@@ -103,7 +103,7 @@ class JointTargets(Kept):
             value.copy_(saved[f"joint_{name}_target"])
 
 
-_ROBOT_GROUP = 1  # Robot geoms in the ground's geom group are moved to geom group 1.
+_ROBOT_GROUP = 1  # Robot geoms must not be in the ground's geom group, and move to geom group 1.
 
 
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
@@ -125,7 +125,7 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
     if len(roots) != 1:
         message = f"the file contains {len(roots)} robots"
         raise AssetError(message, key=str(mjcf), expected="exactly one tree of moving bodies")
-    roots[0].simple = 0  # MuJoCo's shortcut for simple bodies would ignore a shifted centre of mass.
+    roots[0].simple = 0  # If body.simple is 1, MuJoCo ignores a shift of the centre of mass.
     return spec, str(roots[0].name)
 
 
@@ -164,7 +164,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
         if frame_or_element.frame is None:
             frame_or_element.set_frame(turned)
     if root.explicitinertial:
-        # Convert an inertia that the MJCF file contains to the rotated axes of the root link.
+        # Convert the root link's inertia from the MJCF file to the rotated axes of the root link.
         ipos = np.empty(3)
         mujoco.mju_rotVecQuat(ipos, np.asarray(root.ipos, dtype=float), back)
         root.ipos = ipos

@@ -21,7 +21,7 @@ from wheelleg_exp.state import Kept
 
 _PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
-_STRONGEST = 1e10  # The torque limit of a drive without a limit is MuJoCo's largest number, N·m.
+_STRONGEST = 1e10  # A drive without a torque limit gets MuJoCo's largest number as its limit, N·m.
 Values = torch.Tensor | float
 _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 
@@ -137,7 +137,7 @@ class RobotWriters(Kept):
         velocity = root_velocity.to(dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
         angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
-        # The link's velocity is the CoM's velocity minus R (omega x c), with rotation matrix R and CoM position c.
+        # The velocity of the link's origin is the CoM's velocity minus R (omega x c), where c is the CoM's position in the link.
         lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
         self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
 
@@ -261,7 +261,7 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # A change in the set of bodies with external forces needs a new CUDA graph, so this set never loses a body.
+        # Each change of ``_wrench_bodies`` needs a new CUDA graph, so a body without external force stays in this tuple.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
@@ -340,7 +340,7 @@ class RobotWriters(Kept):
         data.default_joint_pos[ids] = data.default_joint_pos[ids].clamp(now[..., 0], now[..., 1])
         rows, places = ids.unsqueeze(1), self.layout.joint_ids[joints]
         written = now[:, joints].to(sim.dtype)
-        # MuJoCo can only enable both limits of a joint at once, so a very large number replaces an infinite limit.
+        # MuJoCo enables the lower and the upper limit of a joint together, so a very large number replaces an infinite limit.
         far = 2.0 * math.pi * 1e6
         if sim.may_differ("jnt_limited") or not self.layout.all_limited:
             sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
@@ -366,7 +366,7 @@ class RobotWriters(Kept):
         For each group of implicit actuators, return its slice of MuJoCo's actuators, its values (n, k), and a mask
         (k,) of the joints in ``joints``. MuJoCo's solver computes the torques of implicit actuators.
         """
-        self._has_new_targets = True  # The controls of MuJoCo actuators depend on the actuators' gains.
+        self._has_new_targets = True  # New gains change the controls of MuJoCo actuators.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)

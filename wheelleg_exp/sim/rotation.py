@@ -10,7 +10,7 @@ from functools import cache
 
 import torch
 
-# ``_PRODUCTS_TO_MATRIX`` (16, 9) maps the products q_a q_b of a unit quaternion's components to the rotation matrix.
+# ``_PRODUCTS_TO_MATRIX`` maps the 16 products q_a q_b of a unit quaternion's components to the rotation matrix.
 _PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
 for _i in range(3):
     for _j in range(3):
@@ -24,7 +24,7 @@ for _i in range(3):
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
 
-# The table of the Hamilton product: each product a_i b_j is added, with a sign, to one component of the result.
+# ``_PRODUCTS_TO_QUAT`` maps the 16 products a_i b_j of the components of two quaternions a and b to their product a b.
 _PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
 for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
     for _j, _to in enumerate(_row):
@@ -33,7 +33,7 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
 # ``_HALF_ANGLES_TO_QUAT`` maps products of half-angle sines and cosines of roll, pitch, and yaw to a quaternion.
-# In each of the first three dimensions of ``_HALF_ANGLES_TO_QUAT``, index 0 means cosine, and index 1 means sine.
+# Index 0 of the dimensions roll, pitch, and yaw means the cosine of the half angle, and index 1 means its sine.
 _HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
@@ -54,7 +54,7 @@ def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     parts, table, n = q.T.contiguous(), _on(_PRODUCTS_TO_MATRIX, q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    # The last bits of a matrix-vector product and a matrix product differ, because they sum in different orders.
+    # A matrix-vector product (n = 1) and a matrix product sum in different orders, so their last bits differ.
     if n == 1:
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)

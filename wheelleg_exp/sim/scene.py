@@ -27,7 +27,7 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
-_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The model's digest skips fields that contain or count file paths.
+_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a MuJoCo model skips these fields, which contain or count file paths.
 
 
 class Scene(Kept):
@@ -72,8 +72,8 @@ class Scene(Kept):
             terrain.lay(spec)
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
-        # Give the robot's geoms the average of the robot's and the ground's friction, as PhysX combines frictions.
-        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get the higher priority.
+        # In each contact of robot and ground, PhysX uses the average of the two friction coefficients.
+        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get priority and this average.
         ground = self.terrain.friction(robot.friction_source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
@@ -99,7 +99,7 @@ class Scene(Kept):
         self._compiled = _checksums(self.model)
         options = self._sim_options
         if options.engine == "warp":
-            # Import the Warp engine only here, because its module imports large optional packages.
+            # Import the Warp engine only when a config selects it, because its module imports large optional packages.
             from wheelleg_exp.sim.warp_engine import WarpEngine
 
             self.sim: Engine = WarpEngine(self.model, self.num_envs, options)
@@ -167,7 +167,7 @@ class Scene(Kept):
 
     def require_compiled_model(self) -> None:
         """Raise ConfigError, which names the changed fields, if a manager term has written to the compiled model."""
-        # The engine simulates a copy of the model, so a write to the original model would silently have no effect.
+        # The engine simulates a copy of the MuJoCo model, so a write to the original model would silently have no effect.
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
             raise ConfigError(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-_MARGIN = 1e-6  # Boxes around geoms are enlarged by 1e-6 m because of rounding errors.
+_MARGIN = 1e-6  # The bounding boxes of geoms are enlarged by 1e-6 m because of rounding errors.
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class GeomBoxes:
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
-        for axis in range(3):  # Comparing each axis separately is much faster than comparing tensors (..., 3).
+        for axis in range(3):  # A loop over x, y, and z is much faster than one comparison of arrays (..., 3).
             found &= low[:, axis, None] <= self._high[:, axis]
             found &= high[:, axis, None] >= self._low[:, axis]
         return found
@@ -58,7 +58,7 @@ class GeomBoxes:
 
 _GEOM_FIELDS = ("geom_type", "geom_size", "geom_pos", "geom_quat")
 _ROWS = 32  # simulations per thread
-_MANY = 8  # With at least 8 geoms, a ray is tested only against the geoms that the ray can hit.
+_MANY = 8  # If there are at least 8 geoms, a ray is tested only against geoms whose bounding box it can hit.
 _TOGETHER = 48  # rays in a block
 _SHOWN, _HIDDEN = 0, 1  # geom groups
 
@@ -103,7 +103,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # The simulation with the number ``ids[k]`` casts the rays of row k of ``starts[some]`` and ``ways[some]``.
+            # The simulation ``ids[k]`` of MuJoCo's batch casts the block of rays k of ``starts[some]`` and ``ways[some]``.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

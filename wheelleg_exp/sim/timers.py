@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # The smallest remaining time of the timers is copied from the GPU every 16 control steps.
+_EVERY = 16  # The shortest remaining time of all timers is copied from the GPU only every 16 control steps.
 _SLACK = 1e-3  # s
 
 

@@ -16,9 +16,9 @@ from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.warp_fields import CONSTANTS, DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
-# By default, a simulation has room for 24 contacts, because a robot that lies on the ground has about twelve.
+# By default, the contact buffer has room for 24 contacts per simulation; a robot that lies on the ground has about 12.
 _CONTACTS = 24
-_ON_RELIEF = 48  # A height field or a mesh touches one geom in several points, and needs room for more contacts.
+_ON_RELIEF = 48  # A height field or mesh touches one geom at several points, so its contact buffer is larger.
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
@@ -39,7 +39,7 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
     contacts = nconmax or (_ON_RELIEF if relief else _CONTACTS)
     if njmax:
         return Capacity(contacts, njmax)
-    # A pyramidal friction cone needs more constraint rows than an elliptic friction cone.
+    # Each contact needs 2 (condim - 1) constraint rows with a pyramidal friction cone, and fewer with an elliptic cone.
     rows_of_contact = 2 * (int(model.geom_condim.max(initial=3)) - 1)
     rows = contacts * rows_of_contact + model.neq * _ROWS_OF_EQUALITY
     rows += int((model.jnt_limited != 0).sum()) + int((model.dof_frictionloss != 0).sum())
@@ -79,7 +79,7 @@ class Overflow:
         raise SimulationFailure(message, key=key, expected=f"{max(needed, 2 * has)} or more")
 
 
-_HUGE = 1e10  # Positions and velocities above MuJoCo's mjMAXVAL count as invalid.
+_HUGE = 1e10  # A position or velocity above MuJoCo's limit mjMAXVAL counts as invalid.
 _LEAST_MATCHES = 8
 _MOTION = ("qpos", "qvel")
 
@@ -113,8 +113,8 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # Overflow of a contact or constraint buffer raises an error, not a warning.
-        # A contact sensor considers at most ``most`` contacts, which is at least twice the contacts that it reports.
+        self._m.opt.warn_overflow = 0  # This class raises an error if a contact or constraint buffer overflows.
+        # Each contact sensor searches at least twice as many contacts as it reports.
         of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
         slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
         most = _LEAST_MATCHES
@@ -134,12 +134,12 @@ class WarpEngine(Engine):
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._all_ids = torch.arange(num_envs, device=self.device)
-        from wheelleg_exp.sim import warp_kernels  # Importing mujoco-warp also imports the package Warp.
+        from wheelleg_exp.sim import warp_kernels  # This import also imports the package Warp.
 
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
         most_kept = dict.fromkeys(_MOTION, _HUGE)
-        # ``_rows`` has each state field's array, initial values, and limit; a reset keeps values with |value| < limit.
+        # ``_rows`` has the array, initial values, and limit of each state field; a reset keeps values below the limit.
         self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
@@ -182,7 +182,7 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
-            # The outputs of ``set_const`` now have one value per simulation, which invalidates captured CUDA graphs.
+            # Each simulation now gets its own outputs of MuJoCo's ``set_const``, in new arrays that old CUDA graphs do not use.
             self._graphs.forget()
             for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
                 self._fields.expand(name)
@@ -211,7 +211,7 @@ class WarpEngine(Engine):
             self._derive()
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        del ids  # On a GPU, recomputing all simulations is cheaper than selecting some of them.
+        del ids  # On a GPU, it is cheaper to compute all simulations than to select some of them.
         if self._current:
             self._graphs.run("forward", self._derive)
 
@@ -263,7 +263,7 @@ class WarpEngine(Engine):
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
         points, ways = origins.to(self.dtype), directions.to(self.dtype)
-        # mujoco-warp casts equally many rays in every simulation, so simulations without rays cast dummy rays.
+        # mujoco-warp casts the same number of rays in every simulation, so simulations outside ``ids`` cast unused rays.
         if ids is not None:
             shape = (self.num_envs, *points.shape[1:])
             points = points.new_zeros(shape).index_copy_(0, ids, points)
@@ -285,7 +285,7 @@ class WarpEngine(Engine):
         return far if ids is None else far[ids]
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        del alone  # Ray casts against static geoms need no forward kinematics.
+        del alone  # The poses of static geoms are computed only once, here.
         with self._graphs.here():
             self._mjw.kinematics(self._m, self._d)
         self._still.add(geom_group)

@@ -12,17 +12,17 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.warp_runtime import ENGINE
 
-# The fields in ``STATE`` and the model determine the next physics step of a simulation.
+# ``STATE`` lists MuJoCo's data fields that, together with the model, determine a simulation's next physics step.
 STATE = (
     *("time", "qpos", "qvel", "act", "history", "plastic", "qacc_warmstart"),
     *("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata"),
 )
-# The functions kinematics, com_pos and com_vel of mujoco-warp compute the fields in ``DERIVED``.
+# ``DERIVED`` lists the data fields that the functions kinematics, com_pos and com_vel of mujoco-warp compute.
 DERIVED = frozenset(
     """xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat subtree_com cdof cinert cvel
     cdof_dot sensordata""".split()  # noqa: SIM905
 )
-# If an input of set_const has one value per simulation, the outputs in ``CONSTANTS`` need one, too.
+# ``CONSTANTS`` lists the model fields that MuJoCo's function set_const computes.
 CONSTANTS = (
     *("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0", "tendon_length0", "tendon_invweight0"),
     *("eq_data", "cam_pos0", "cam_poscom0", "cam_mat0", "light_pos0", "light_poscom0", "light_dir0"),

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-# Do not import annotations from __future__ here, because Warp reads the types of kernel arguments.
+# Do not import annotations from __future__ here, because Warp reads annotations as types, not as strings.
 
 
 @wp.kernel

@@ -25,16 +25,16 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
     try:
         import warp as wp
 
-        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads its configuration only at its start.
+        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads wp.config only in wp.init.
             wp.config.log_level = wp.LOG_WARNING
-            # The simulation computes no gradients, and gradient kernels would double the compile time of Warp kernels.
+            # Without gradient kernels, which the simulation does not use, Warp kernels compile in half the time.
             wp.config.enable_backward = False
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
-                wp.config.optimization_level = 0  # In CPU tests, compiling kernels takes longer than the physics steps.
-                # Warp's C++ code writes a warning about a missing CUDA driver directly to file descriptor 2.
-                # Redirect file descriptor 2 while Warp starts, to hide Warp's warning about a missing CUDA driver.
+                wp.config.optimization_level = 0  # On a CPU, compiling Warp kernels takes longer than the steps.
+                # Without a CUDA driver, Warp's C++ code writes a warning directly to file descriptor 2 (stderr).
+                # To hide this warning, redirect file descriptor 2 to the null device while Warp starts.
                 sys.stderr.flush()
                 saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
                 try:
@@ -104,7 +104,7 @@ class Graphs:
     def here(self) -> Iterator[None]:
         """Launch the kernels inside the ``with`` block on the device, after all earlier kernels of torch."""
         wp, stream = self._wp, self._stream()
-        if stream is None:  # Warp's own stream is synchronised with torch's default stream.
+        if stream is None:  # Warp synchronises its own stream with torch's default stream.
             with wp.ScopedDevice(self.place):
                 yield
         elif torch.cuda.is_current_stream_capturing():

@@ -175,7 +175,7 @@ def same(a: Any, b: Any) -> bool:
 def bytes_of(value: torch.Tensor) -> torch.Tensor:
     """Return the bytes of a tensor's elements in order; a contiguous tensor is not copied."""
     flat = value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1)
-    if flat.stride(0) != 1:  # Torch treats a row of one element as contiguous with any stride.
+    if flat.stride(0) != 1:  # Torch treats a one-element tensor with any stride as contiguous.
         flat = flat.clone(memory_format=torch.contiguous_format)
     return flat.view(torch.uint8)
 

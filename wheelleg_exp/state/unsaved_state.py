@@ -91,7 +91,7 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # The method __init__ sets attributes, which are saved with the object.
+                if name != "__init__":  # ``__init__`` stores its defaults in attributes, which checkpoints save.
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item

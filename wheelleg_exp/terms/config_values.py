@@ -26,7 +26,7 @@ class Misfit:
 
     message: str
     expected: str
-    # In a nested config value, ``keys`` leads to the wrong value, or to the list that contains the wrong value.
+    # ``keys`` is the path inside a nested config value to the wrong value, or to the list that contains it.
     keys: tuple[str, ...] = ()
     nearest: str | None = None  # ``nearest`` is the valid word that is most similar to the wrong config value.
     is_type: bool = False  # ``is_type`` is true for a config value of a wrong type, and false for a value out of range.
@@ -66,7 +66,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     if origin is typing.Annotated:
         return _constrained(value, annotation, arguments[0], constraints_of(annotation))
     if origin in (typing.Union, types.UnionType):
-        # If no member of the union fits, report the mistakes for the first member that has the value's type.
+        # If no member of a Union annotation fits, report the mistakes for the first member that has the value's type.
         found = [misfits(value, option) for option in typing.get_args(annotation)]
         if not all(found):
             return []

@@ -75,10 +75,10 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# A config can omit the section ``recorders``; every other missing section is treated as an empty section.
+# A missing section ``recorders`` stays missing; every other missing section of terms becomes an empty section.
 OPTIONAL = "recorders"
 
-# FIELD_TYPES has the type of each field that managers read; REQUIRED_FIELDS has the fields that each term needs.
+# FIELD_TYPES has the types of a term's keys that managers read; REQUIRED_FIELDS lists keys that a term must have.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,

@@ -73,7 +73,7 @@ def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]
         term = binding.TermNode(path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, parameters)
     except ConfigError as error:
         return [error]
-    return parameter_errors("commands", term, target)  # the manager of commands reads no fields of a command term
+    return parameter_errors("commands", term, target)  # The section "commands" reserves no keys of terms.
 
 
 def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
@@ -85,7 +85,7 @@ def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any
             yield ConfigError(message, key=term.path, expected=expected)
             return
     known = [*accepted, *binding.RESERVED[section]]
-    meant: set[str] = set()  # a parameter with a misspelled key is not reported as missing
+    meant: set[str] = set()  # A parameter with a misspelled key is not also reported as missing.
     for name, value in term.params.items():
         if name in accepted:
             continue

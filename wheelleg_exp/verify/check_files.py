@@ -54,7 +54,7 @@ class Check:
 
     name: str
     text: str
-    failures: list[str] = field(default_factory=list)  # Texts about the errors that one check found in a run.
+    failures: list[str] = field(default_factory=list)  # errors that one check of ``wheelleg verify`` found in a run
     notes: list[str] = field(default_factory=list)  # harmless facts
     skipped: str | None = None  # The reason why the check of a run was skipped; None if the check ran.
 

@@ -46,7 +46,7 @@ def params(subject: Subject) -> Check:
     if not isinstance(written, dict):
         return Check("params", text, skipped=f"{CONFIG} is not a mapping")
     try:
-        # An environment variable that was not recorded with the run has the value None.
+        # An environment variable that the run's manifest lacks resolves to None.
         config = resolved(written, subject.data.get("config_variables") or {}, lambda _: None)
     except RunDirectoryError as error:
         return Check("params", text, skipped=f"{CONFIG}: {error.message}")

@@ -18,8 +18,8 @@ class Divergence:
 
     iteration: int | None  # The first training iteration in which two runs differ; None if no iteration is known.
     part: str  # ``part`` names what differs between two runs, such as ``settings`` or ``files`` (missing or damaged).
-    name: str  # The first key, hash, scalar, tensor, or entity that differs between two runs.
-    a: Any = None  # The value of ``name`` in run A; None if ``name`` has several values.
+    name: str  # The first config key, hash, scalar, tensor, or recorded entity that differs between two runs.
+    a: Any = None  # The value of the differing entry in run A; None if the entry has several values.
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -77,7 +77,7 @@ def _of_pair(pair: Pair, details: dict[str, Any]) -> Divergence:
     return Divergence(pair.iteration, "checkpoints", worst.name, worst.a, worst.b, details)
 
 
-_FACTS = 12  # The largest number of printed differences between the environments of two runs.
+_FACTS = 12  # The largest number of printed differences in the code, versions, and hardware of two runs.
 
 
 def divergence_lines(first: Divergence) -> list[str]:

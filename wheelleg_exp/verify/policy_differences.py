@@ -41,7 +41,7 @@ class Pair:
     count: int = 0  # The number of tensors, numbers, and texts that differ between two checkpoints.
     of: int = 0
     differences: list[Difference] = field(default_factory=list)  # Differences of network weights are listed first.
-    by_part: dict[str, int] = field(default_factory=dict)  # The number of differences in each part of two checkpoints.
+    by_part: dict[str, int] = field(default_factory=dict)  # the number of differences in each part, such as the actor
     parameters: float | None = None  # The relative Euclidean distance between the parameters of two networks.
     problem: str | None = None  # The reason why a checkpoint file cannot be read.
 
@@ -114,7 +114,7 @@ def _order(difference: Difference) -> tuple[int, float]:
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
     if difference.kind != "values" or difference.relative is None:
         return rank, -3.0
-    # The number 2.5 exceeds every relative difference, which is at most 2.
+    # Sort NaN like a relative difference of 2.5, because finite relative differences are at most 2.
     return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
@@ -122,7 +122,7 @@ _EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
 # Ignore the numbers that TorchScript adds to class names, because they depend on the order of scripting.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# The pickle operations that contain only the protocol version and memo positions, but no values.
+# The pickle operations in ``_BOOKKEEPING`` contain no values, only the protocol version and memo positions.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 

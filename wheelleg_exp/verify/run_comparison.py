@@ -20,7 +20,7 @@ from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_t
 from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
-_OF_THE_SNAPSHOT = ("params", "source", "asset")  # The checks of ``verify_run`` for the input files of a run.
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # names of the checks of ``verify_run`` that read a run's input files
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
@@ -38,8 +38,8 @@ class Comparison:
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]  # Two runs can differ in code, versions, hardware, or environment variables.
-    tolerance: Tolerance | None = None  # None, unless a cause such as another CPU explains two runs' unequal numbers.
+    environment: list[FactDifference]  # differences in code, versions, hardware, and environment variables
+    tolerance: Tolerance | None = None  # measured only if a cause, such as another CPU, can explain unequal numbers
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -125,7 +125,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         distance = None if here is None or here.parameters is None else (here.iteration, here.parameters)
         tolerance = judge(ones, others, distance, whole=span.whole)
     verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
-    # Check for rewritten manifests only if the two runs seem identical, because this check is slow.
+    # Check the files of both runs for contradictions only if the runs seem identical, because this check is slow.
     if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
         parts["files"] = _damage_part(wrong)
         verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"

@@ -26,7 +26,7 @@ from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
-# Settings that change files, speed, or buffer sizes, but no computed number; a too small buffer raises an error.
+# ``_HARMLESS`` settings change files, speed, or buffer sizes, but no computed number.
 _HARMLESS: tuple[Keys, ...] = (
     *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
     *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
@@ -154,11 +154,11 @@ UNKNOWN_BEFORE_TORCH = ("torch_cpu_capability",)  # Torch reports its CPU instru
 class FactDifference:
     """One recorded fact that differs between two runs."""
 
-    section: str  # The differing part of two runs, such as ``versions``, ``hardware``, ``code``, or ``resumed``.
+    section: str  # The kind of fact that differs, such as ``versions``, ``hardware``, ``code``, or ``resumed``.
     name: str
-    a: Any  # The value in the first of two runs, such as the CPU model; a list of values if a resume changed the value.
+    a: Any  # The fact's value in the first run, such as the CPU model; a list if a resume changed the value.
     b: Any
-    allows: str | None = None  # Why a difference such as another CPU can change the last digits of numbers, or None.
+    allows: str | None = None  # The reason why the difference can change the last digits of numbers, or None.
     forbids: bool = False  # True if a difference such as other code can change numbers by more than rounding.
     note: str = ""  # A text that describes how the source code of two runs differs.
 

@@ -25,7 +25,7 @@ class Difference:
     b: Any
     index: tuple[int, ...] = ()  # The index of the tensor element with the largest difference.
     largest: float | None = None  # The largest absolute difference of two tensors, which can be NaN or inf.
-    relative: float | None = None  # The largest absolute difference divided by the larger magnitude of both values.
+    relative: float | None = None  # ``largest``, divided by the larger absolute value of the two compared elements
     count: int = 1  # The number of tensor elements that differ; ``of`` is the number of all elements.
     of: int = 1
 

@@ -32,7 +32,7 @@ from wheelleg_exp.run.iteration_log import Line
 
 START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
-_SHORTEST = 50  # Returns at the end of two runs are compared only if the runs have at least 50 iterations.
+_SHORTEST = 50  # Compare the final returns of two runs only if both runs have at least 50 iterations.
 _TINY = 1e-9  # The smallest divisor of a relative deviation, because smaller scalars are rounding errors.
 
 
@@ -65,7 +65,7 @@ class Tolerance:
     start: list[Excess]  # The largest deviations between two runs in the first iteration in which the runs differ.
     end: list[Excess]  # The deviations between two runs' final returns and between their final episode lengths.
     note: str = ""  # A text that explains which numbers of two runs were not compared, and why.
-    needs_end: bool = False  # True if small first deviations do not suffice: final returns must also be similar.
+    needs_end: bool = False  # True if the verdict ``within tolerance`` also needs similar final returns.
 
     @property
     def unknown(self) -> bool:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.explaining.config_diff import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
-_WIDEST = 44  # The largest number of characters of a printed config value.
+_WIDEST = 44  # `wheelleg diff` prints at most 44 characters of a config value.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -17,7 +17,7 @@ from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
 _LABEL = 14
-_SHOWN = 24  # The largest number of printed values or keys of one list.
+_SHOWN = 24  # `wheelleg explain` prints at most 24 values or keys of a list.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     for line in text(explained):
         blanks = len(line) - len(line.lstrip())
-        # The lines of a wrapped text are indented to the column at which the text starts behind a label.
+        # Indent the following lines of a wrapped text to the column at which the text starts after its label.
         print(hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line)
     return EXIT_OK
 

@@ -17,10 +17,10 @@ from wheelleg_exp.errors import printable
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
 
-ROWS = 15  # The largest number of printed rows of a table or list.
-JOINTS = 40  # The largest number of printed joints of one robot.
-WIDTH = 60  # The largest number of characters in a printed table cell.
-NAMED = 6  # The largest number of names in a list that is printed on one line.
+ROWS = 15  # A printed table or list has at most 15 rows.
+JOINTS = 40  # A robot's printed table has at most 40 joints.
+WIDTH = 60  # A printed table cell has at most 60 characters.
+NAMED = 6  # A list that is printed on one line has at most 6 names.
 LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
 VERDICTS = {"good": "converted without doubts", "check": "converted, check the result:", "doubtful": "DOUBTFUL:"}
 
@@ -46,7 +46,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
     used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
     _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
-    order = report.dof_order  # The printed table of joints lists the joints in MuJoCo's order.
+    order = report.dof_order  # The printed table contains the joints in MuJoCo's order.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
     # Print the values that the converter assumed because the robot file lacks them, and the joints or links affected.

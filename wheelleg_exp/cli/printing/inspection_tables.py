@@ -155,7 +155,7 @@ def number(value: float | None) -> str:
     return "-" if value is None else "nan" if math.isnan(value) else f"{value:.4g}"
 
 
-_NOTES = 3  # The largest number of printed notes of a recording; earlier notes are omitted.
+_NOTES = 3  # Print only the last 3 notes of a recording.
 
 
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:

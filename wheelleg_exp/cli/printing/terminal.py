@@ -98,9 +98,9 @@ def shown(path: Path) -> str:
 
 
 PLAIN_WIDTH = 100
-_GAP = 2  # The number of spaces between two columns of a table.
-_LEAST_WRAPPED = 12  # The smallest number of characters per line of a wrapped table cell.
-_MOST_LINES = 3  # The largest number of lines in a wrapped table cell.
+_GAP = 2  # A printed table has 2 spaces between two columns.
+_LEAST_WRAPPED = 12  # A line of a wrapped table cell has room for at least 12 characters.
+_MOST_LINES = 3  # A wrapped table cell has at most 3 lines.
 _INDENT = "    "
 
 Row = Sequence[object]

@@ -18,9 +18,9 @@ from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
-# The config keys whose values are dotted names of objects that rsl_rl imports and calls.
+# The values of these config keys are dotted names of classes or functions that rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
-# For each rsl_rl parameter whose value is a name: the function of rsl_rl.utils that looks up the name.
+# ``RESOLVERS`` maps an rsl_rl parameter to the function of rsl_rl.utils that looks up the parameter's value.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
 _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
@@ -65,7 +65,7 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
 
 
 def _check_class_name(path: str, name: Any) -> list[ConfigError]:
-    # Reject a class of a forbidden package without importing the class, because an import runs code.
+    # Reject a class outside the allowed packages without importing the class, because an import runs code.
     packages = class_packages()
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
@@ -85,7 +85,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         names = [known for module in modules for known in dir(module) if not known.startswith("_")]
         nearest = nearest_name(str(name), [*names, _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # Check the module in which the agent's class is defined: allowed modules can import classes of forbidden packages.
+    # A module of an allowed package can import a class of a forbidden package, so check where the class is defined.
     defined_there = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if defined_there else [refused]
 
@@ -99,7 +99,7 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
     if found is None:
         return []  # The function _check_class_name reports an unknown class name.
     errors = _check_parameters(path, node, found)
-    # rsl_rl accepts an actor without a distribution, but cannot train such an actor.
+    # rsl_rl accepts an actor without an action distribution, but cannot train such an actor.
     is_actor = path in ("agent.actor", "agent.student")
     draws = is_actor and not _takes_any(found) and _DISTRIBUTION in class_slots(found, "actor")
     if draws and node.get(_DISTRIBUTION) is None:
@@ -152,7 +152,7 @@ def _takes_any(found: Any) -> bool:
     from rsl_rl.algorithms import Distillation
 
     parameters = inspect.signature(found.__init__).parameters.values()
-    # rsl_rl's Distillation accepts any keyword, but ignores unknown keywords.
+    # The constructor of rsl_rl's class Distillation accepts unknown keyword arguments, but ignores them.
     return found is not Distillation and any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
 
 

@@ -57,7 +57,7 @@ def names_in_mjcf(file: Path) -> RobotNames:
     """Return the names of joints and bodies of the robot in a converted MJCF, breadth first."""
     world = ElementTree.parse(file).getroot().find("worldbody")
     roots = world.findall("body") if world is not None else []
-    # A body without children and without joints is a part of the scene, not of the robot.
+    # A top-level body without child bodies and joints belongs to the scene, not to the robot.
     parts = ("body", "joint", "freejoint")
     queue = deque(body for body in roots if any(body.find(part) is not None for part in parts))
     joints: list[str] = []
@@ -102,7 +102,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
         if node is None:
             continue
         own = node if isinstance(node, Mapping) else {}
-        # Some sensors are mounted on one robot body; the remaining sensors observe several bodies.
+        # A sensor's config contains `body_name` (its mounting body) or `body_names` (the bodies that it observes).
         word = "body_name" if "body_name" in own else "body_names"
         listed, key = own.get(word), f"env.scene.sensors.{name}.{word}"
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
@@ -224,7 +224,7 @@ def _names(
     section: str, path: str, node: Mapping[str, Any], target: Callable[..., Any], member: str, members: Members
 ) -> list[ConfigError]:
     if member not in members.bodies:
-        return [not_one_of(f"the scene has no '{member}'", member, members.bodies, key=f"{path}.name")]
+        return [not_one_of(f"the scene has no robot or sensor '{member}'", member, members.bodies, key=f"{path}.name")]
     accepted = inspect.signature(target).parameters
     errors = []
     for name, kind in _KINDS.items():
@@ -237,7 +237,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # The function check_robot reports a sensor's expression that matches no body.
+            continue  # The function check_robot reports a sensor's regular expression that matches no body.
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":

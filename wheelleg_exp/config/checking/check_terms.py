@@ -22,7 +22,7 @@ from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# For each config section, the base class of the section's terms, and the first arguments of a term function.
+# `_CLASSES` has the base class of a config section's terms; `_ARGUMENTS` has the first arguments of term functions.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
@@ -178,9 +178,9 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # The function check_agent reports a misspelled observation group.
+        return []  # The function check_agent reports the unknown name of an observation group.
     if at(config, "agent.teacher") is not None:
-        used |= set(groups)  # A distillation config also contains the observation groups of the teacher's critic.
+        used |= set(groups)  # A distillation config can contain observation groups that only the teacher's critic read.
     unused = [
         ConfigError(
             f"no network reads the observation group '{name}'",

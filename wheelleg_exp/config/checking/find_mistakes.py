@@ -89,7 +89,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Reuse the config repository that Hydra's loader created, because this repository has the complete search path.
+        # Wrap the config repository that Hydra's loader created, because its search path is complete.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -103,7 +103,7 @@ def check(composed: Composed) -> list[ConfigError]:
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
     if misplaced:
-        # A config file at a wrong key causes many further errors, so return only the errors about such files.
+        # File content at a wrong config key causes many further errors, so return only the errors about such files.
         return misplaced
     config = lists.without_strays(composed.config, files)
     errors = (
@@ -121,7 +121,7 @@ def check(composed: Composed) -> list[ConfigError]:
         + _check_robot(config, composed.asset_roots)
     )
     errors += [error for error in found if not follows_from(error, hidden)]
-    # Add the file and line, or the override, of the wrong value to each config error, and remove repeated errors.
+    # Add the place of the wrong value (file and line, or override) to each config error, and remove repeated errors.
     errors = lists.blame_mounts(_first_causes(errors), composed, files)
     seen: dict[tuple[str | None, ...], ConfigError] = {}
     for error in errors:
@@ -252,7 +252,7 @@ class _Search:
     primary: str
     folders: tuple[Path, ...]
     found: list[ConfigError] = field(default_factory=list)
-    # The config keys whose content is unknown, because the broken file that sets these keys is ignored.
+    # The list ``lost`` contains config keys whose values are unknown, because the file that sets these keys is invalid.
     lost: list[str] = field(default_factory=list)
     leniency: Leniency = field(default_factory=Leniency)
     loader: TolerantLoader | None = None
@@ -280,7 +280,7 @@ class _Search:
             self.overrides = kept
             return True
         if blamed:
-            return False  # The shell split an override such as `key = value`, so no single override can be removed.
+            return False  # The shell split an override such as `key = value` into words, so no word is the override.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
@@ -294,7 +294,7 @@ class _Search:
             return False
         self.leniency.empty.add(path)
         self.lost += self._places(path)
-        if error.nearest:  # Ignore errors about the config key that the correctly spelled config file would set.
+        if error.nearest:  # Ignore errors about the key of the config file whose name the user misspelled.
             self.lost.append(f".{error.nearest}")
         return True
 

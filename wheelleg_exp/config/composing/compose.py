@@ -325,7 +325,7 @@ def _parse(text: str) -> Override:
     override = OverridesParser.create().parse_override(text)
     if override.is_sweep_override():
         raise ConfigError(
-            "the command accepts no sweep of several values", key=text, where=f"override {text}", expected="one value"
+            "the command accepts only one value per key", key=text, where=f"override {text}", expected="one value"
         )
     return override
 

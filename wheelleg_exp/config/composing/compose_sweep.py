@@ -67,7 +67,7 @@ def _is_installed(module: str) -> bool:
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # The override that Hydra's option -m adds.
+_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m (multirun) adds this override.
 
 Progress = Callable[[int, int], None]
 
@@ -120,7 +120,7 @@ def compose_sweep(
     checked jobs and the number of all jobs.
     """
     folders = tuple(config_folder(folder) for folder in config_dirs)
-    # Register the settings of hydra-ray-launcher in Hydra if this package is not installed.
+    # Register a config for Hydra's launcher `ray` if the package hydra-ray-launcher is not installed.
     if not _is_installed("hydra_plugins.hydra_ray_launcher"):
         ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
     with hydra_globals():
@@ -149,13 +149,13 @@ def compose_sweep(
         jobs = _expand(of_files + [o for o in accepted if o not in own])
         mistakes += [] if multirun is None else _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
-    # Report a wrong key only once, although every swept value of the key causes a separate mistake.
+    # Report a wrong key of a sweep only once, although each swept value of the key causes a separate mistake.
     if mistakes:
         raise_all(list({(m.key, m.message): m for m in reversed(mistakes)}.values())[::-1])
     if multirun is None:
         multirun = _compose_launcher(loader, own, parsed)
     launcher = str(multirun.hydra.runtime.choices["hydra/launcher"])
-    # A job queue gets all jobs at once, because the queue itself limits the number of running jobs.
+    # Submit all sweep jobs to a job queue (such as Slurm) at once, because the queue limits the number of running jobs.
     n_jobs = len(checked) if launcher in QUEUES else 1
     n_jobs = int(multirun.hydra.launcher["n_jobs"]) if launcher == "joblib" else n_jobs
     return Sweep(tuple(checked), launcher, n_jobs, multirun)

@@ -97,7 +97,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# The exceptions that Hydra and OmegaConf raise for invalid configs; a cycle of defaults lists raises RecursionError.
+# Hydra and OmegaConf raise these exceptions for invalid configs (RecursionError for a cycle of defaults lists).
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -214,7 +214,7 @@ def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Pat
         cause, problem = error, f"the file is not valid YAML: {error.problem or error.context}"
     except ConfigError:
         raise
-    except Exception as error:  # A value that contradicts its YAML tag can raise any exception.
+    except Exception as error:  # A YAML value that contradicts its tag, such as `!!int text`, can raise any exception.
         line = _line_of_message(file, str(error))
         cause, problem = error, "the file cannot be read: " + " ".join(str(error).split())
     raise ConfigError(problem, key=config_path, where=show_file(file, line)) from cause
@@ -289,7 +289,7 @@ class Loader(ConfigLoaderImpl):
         return self.repository.get_group_options(group, ObjectType.CONFIG)
 
 
-# A file of the config group ``task`` needs the line ``# @package _global_``, even if it is the group's only file.
+# A file of the config group ``task`` needs the line ``# @package _global_``, even if the group has no other file.
 _ALWAYS = {"task": "_global_"}
 
 
@@ -313,7 +313,7 @@ def usual_header(repository: Repository, group: str, without: Path | None = None
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # If one of a config group's two files has a `# @package` line, the other file must have this line too.
+    # If at least half of a config group's files have the same `# @package` line, all files of the group need this line.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 

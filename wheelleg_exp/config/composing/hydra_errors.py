@@ -242,7 +242,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
     try:
         TopologicalSorter(below).prepare()
     except CycleError as error:
-        # In a cycle of config files that graphlib returns, each file selects the previous file.
+        # In the cycle of config files in graphlib's CycleError, each file's defaults list selects the previous file.
         path, other = error.args[1][1], error.args[1][0]
         file = used.loaded[path].file
         where = show_file(file, lookup.scalar_line(file, other.rpartition("/")[2]))
@@ -316,7 +316,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
-        # Copy the config, because a rejected override can replace a null value by an empty mapping.
+        # Copy the config, because Hydra can replace null by an empty mapping even if it rejects the override.
         before = copy.deepcopy(cfg)
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
@@ -327,7 +327,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
 
 def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
     key, where = override.key_or_group, where_of(override)
-    # An error about an override suggests Hydra's own keys only if the override sets one of Hydra's own keys.
+    # Suggest keys of the config section `hydra` only if the override sets a key of this section.
     plain = OmegaConf.to_container(cfg, resolve=False)
     tree = plain if isinstance(plain, dict) else {}
     shown = {str(name): node for name, node in tree.items() if (name == "hydra") == override.is_hydra_override()}

@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # After deleting a config key, store the values of its parent section consecutively, in their old order.
+            # Store the remaining keys of the deleted key's section consecutively, in their old order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -143,7 +143,7 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # Later config files never replace an empty mapping; they only add keys to the mapping.
+    # Omit an empty mapping from the replaced values, because later config files only add keys to the mapping.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
@@ -242,7 +242,7 @@ def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
 
 def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
-    # If a task extends a second task, Hydra merges the files of both tasks, but only the first task was selected.
+    # If a task extends a second task, Hydra merges the files of both tasks, but the user selected only the first task.
     mine = [d for d in loader.merged if _group_of(d.config_path) == group and _group_of(d.parent) != group]
     if package:
         mine = [d for d in mine if d.package == package]

@@ -114,7 +114,7 @@ def siblings(target: str) -> list[str]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # `wheelleg check` reports why a module cannot be imported.
+    except Exception:  # Return no alternatives; `wheelleg check` reports the failed import.
         return []
     return [
         f"{module_name}.{name}"
@@ -127,7 +127,7 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # The largest number of cached composed configs.
+_MOST_VIEWS = 32  # The cache contains at most 32 composed configs.
 
 
 @dataclass(frozen=True)

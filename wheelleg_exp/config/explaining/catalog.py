@@ -23,7 +23,7 @@ from wheelleg_exp.terms.config_values import constraints_in, describe
 from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
 
-# For each module of wheelleg_exp.mdp, the config section to which the module's terms belong.
+# ``MODULES`` maps each module of wheelleg_exp.mdp to the config section of the module's terms.
 MODULES = {
     "actions": "actions",
     "commands": "commands",
@@ -79,7 +79,7 @@ def is_term(section: str, found: Any) -> bool:
         return issubclass(found, TermBase) and not abstract
     if not inspect.isfunction(found) or next(iter(inspect.signature(found).parameters), None) != INJECTED[0]:
         return False
-    # In the events module, a function that does not return None is a helper function, not an event term.
+    # In wheelleg_exp.mdp.events, a function that does not return None is a helper function, not an event term.
     return section != "events" or type_hints(found).get("return") is type(None)
 
 

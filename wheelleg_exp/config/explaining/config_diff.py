@@ -63,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# The effect of a different order of terms, for each config section whose order of terms has an effect.
+# ``ORDER`` maps a config section to the effect of a different order of the section's terms.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -141,7 +141,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # The section name is None for a config node without terms.
+    section = key_slots.section_of((*keys, "any"))  # ``section`` is None if the config key ``keys`` contains no terms.
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
@@ -185,7 +185,7 @@ def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
-            continue  # Equal git trees contain equal files, even in different commits.
+            continue  # Two git commits with the same tree contain the same files, so report no change.
         for name in one:
             if name in other and not same(one[name], other[name]):
                 yield FactChange(section, name, one[name], other[name])

@@ -57,7 +57,7 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # A YAML mapping's comment is at the mapping's key, but ``source.line`` can be a line inside the mapping.
+            # Read the comment at the key of a YAML mapping, because ``source.line`` can be a line inside the mapping.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -80,7 +80,7 @@ def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None
             return
 
 
-# Matches an interpolation that refers to a config key. An interpolation with a colon calls a resolver instead.
+# ``_REFERENCE`` matches OmegaConf interpolations of config keys, but not resolver calls, which contain a colon.
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 
@@ -105,7 +105,7 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
         here, text = waiting.pop(0)
         for match in _REFERENCE.finditer(str(text)):
             name = match.group(1).strip()
-            dots = len(name) - len(name.lstrip("."))  # In an interpolation, ``.x`` names a key next to the value.
+            dots = len(name) - len(name.lstrip("."))  # The interpolation ``${.x}`` is the key x of the same section.
             found = (*here[: len(here) - dots], *split_path(name[dots:])) if dots else split_path(name)
             if found in seen:
                 continue
@@ -249,7 +249,7 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
     named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
-    # In a config mapping that accepts any name, a key that is similar to an existing key counts as misspelled.
+    # If a config mapping accepts any key, treat a key that is similar to an existing key as misspelled.
     near = nearest_name(keys[-1], map(str, parent)) if isinstance(parent, Mapping) and not named else None
     has_place = bool(named) or (isinstance(parent, Mapping) and near is None)
     if slot is None or not has_place or key_slots.section_of(keys) is not None:

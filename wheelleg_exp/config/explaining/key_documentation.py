@@ -13,7 +13,7 @@ from typing import Any
 
 from wheelleg_exp.config.tree_lookup import yaml_node
 
-# The description and default of each term field that managers read; the default ``...`` marks a required field.
+# ``FIELDS`` contains the description and default of each term field that managers read; ``...`` means required.
 FIELDS: dict[str, tuple[str, Any]] = {
     "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
     "time_out": ("whether the episode is only cut off: it ends, but has not failed", False),
@@ -30,7 +30,7 @@ FIELDS: dict[str, tuple[str, Any]] = {
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 
-# The description of each config key that no docstring describes; the character ``*`` matches one key.
+# ``KEYS`` describes config keys that no docstring describes; ``*`` matches one part of a dotted key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
     "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: random networks",
@@ -181,7 +181,7 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# A unit that starts a line needs a word such as "of" after it, so that "N environments" does not mean newtons.
+# If a line starts with a unit, a word such as "of" must follow, because the N in "N environments" is no newton.
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")

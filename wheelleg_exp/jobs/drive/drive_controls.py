@@ -22,7 +22,7 @@ from wheelleg_exp.sim.timers import forget
 class Axis:
     """One component of a command term, such as a speed, with the component's range [low, high] in its unit."""
 
-    name: str  # A command component's name, such as lin_vel_x; <term>.lin_vel_x if two command terms have lin_vel_x.
+    name: str  # ``name`` is lin_vel_x, for example, or <term>.lin_vel_x if two command terms have this component.
     term: str
     component: str
     low: float
@@ -101,7 +101,7 @@ class Choose:
     """A request to change the driving policy or the ground; None keeps the current checkpoint or the current ground."""
 
     checkpoint: Path | None = None
-    scene: str | None = None  # The ground is an option of the config group ``scene``, or ``own`` (as in training).
+    scene: str | None = None  # ``own`` is the training's ground; other values name an option of the group ``scene``.
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,7 @@ class InputServer:
             self.press(said["press"])
 
 
-# The direction of the camera, and its distance as a multiple of the height of the robot's base.
+# The camera's initial position is ``_CAMERA_FROM`` times ``_HEIGHTS_AWAY`` times the height of the robot's base.
 _CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
@@ -238,7 +238,7 @@ class DrivePage:
         if self._port not in (0, self._server.get_port()):
             raise port_in_use(self._port, "the page")
         origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
-        # Accept only connections from ``origins``, because any page in the browser can try to connect to this server.
+        # Reject connections from other web pages, because any page in a browser can try to connect to this server.
         own = self._server._websock_server
 
         async def check(client: Any) -> None:
@@ -312,7 +312,7 @@ class DrivePage:
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
-                if self._mirrored.get(name) != value:  # A key or a drive script changed a command, so move its slider.
+                if self._mirrored.get(name) != value:  # Move the slider of a command that keyboard or script changed.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 

@@ -32,7 +32,7 @@ class Entry:
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False  # If true, each command that the script entry omits becomes 0 (mid-range if 0 is invalid).
+    stops: bool = False  # If ``stops`` is true, omitted commands become 0, or the middle of the range if 0 is invalid.
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from wheelleg_exp.user_exceptions import ending_as
 
 OWN_GROUND = "own"  # The name ``own`` selects the ground on which the policy was trained.
 _GROUP = "scene"
-_DISTURBANCES = ("interval", "step")  # The modes of event terms that act during an episode, such as pushes.
+_DISTURBANCES = ("interval", "step")  # Event terms of mode ``interval`` or ``step``, such as pushes, disturb the robot.
 
 
 def scenes() -> list[str]:
@@ -59,8 +59,8 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        # Replace the ground of the run's scene by the ground of the chosen scene.
-        # If the run's scene and the chosen scene have the same sensor, the chosen scene sets the sensor's options.
+        # Replace the ground of the training by the ground of the scene that the user chose.
+        # Replace a sensor's config if the scene that the user chose configures a sensor of the same name.
         own = env["scene"]
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
@@ -69,7 +69,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     return tree
 
 
-_MAX_DELAY_S = 0.1  # ``RealTimePacer`` ignores delays above 0.1 s, so that a slow machine shows slow motion.
+_MAX_DELAY_S = 0.1  # On a slow machine, ``RealTimePacer`` does not catch up delays above 0.1 s: motion becomes slower.
 
 
 class RealTimePacer:

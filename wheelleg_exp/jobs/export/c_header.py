@@ -49,7 +49,7 @@ def action_lines(name: str, term: Spec) -> Iterator[str]:
     """Yield the C lines that compute the processed action ``s->processed_<name>`` of an action term."""
     for i, joint in enumerate(term["joint_ids"]):
         out = f"s->processed_{name}[{i}]"
-        if "alpha" in term:  # The moving average of the action starts at the current joint positions.
+        if "alpha" in term:  # The moving average of joint targets starts at the current joint positions.
             yield "{"
             yield f"    float last = first ? joint_pos[{joint}] - s->zero[{joint}] : {out};"
         yield from (f"    {line}" if "alpha" in term else line for line in _processed(out, term, i))

@@ -138,7 +138,7 @@ class Exported:
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]  # the largest difference between a policy file's and the trained policy's actions
+    differences: Mapping[str, float]  # Each policy file's largest difference from the actions of the trained policy.
     notes: Sequence[str]  # Each note names a missing part of the exported folder, with the reason.
 
 
@@ -156,7 +156,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     with for_people(target), temporary_folder(target) as work:
         differences, notes = _fill(work, run, checkpoint)
         sync_folder(work)
-        # If a folder with the default name exists, append a number to the name; if a user chose the name, raise.
+        # If the bundle's default folder exists, append a number to the name; if a user's folder exists, raise an error.
         number, place = 1, target
         while place.exists() or place.is_symlink():
             if output is not None:

@@ -21,8 +21,8 @@ from wheelleg_exp.terms.config_values import require_fit
 from wheelleg_exp.terms.key_syntax import PIPELINE as PRIMARY
 from wheelleg_exp.terms.key_syntax import split_path
 
-_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # config keys that only the pipeline sets
-_NAME = re.compile(r"[\w-]+")  # A phase name is a part of config keys and folder names.
+_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # The pipeline sets ``_RESERVED_KEYS``.
+_NAME = re.compile(r"[\w-]+")  # A pipeline phase's name is a part of config keys and folder names.
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # ``initial_file`` checks the initial policy (checkpoint) of the pipeline's first phase.
+                pass  # Entering ``initial_file`` checks the checkpoint with which the phase's training starts.
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:

@@ -53,7 +53,7 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
     """Check that each gate (evaluation of a phase) measures every metric for which the gate has a bound."""
-    # An evaluation with NaN actions gives the names of all metrics, and is short: each episode ends after one step.
+    # To list the names of all metrics quickly, evaluate NaN actions, which end each episode after one step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -84,7 +84,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        # Check the settings of the evaluation before the number of episodes in each of its tests is set to 1.
+        # Check the user's evaluation settings before each test is shortened to one episode.
         read_section(Protocol, protocol, "protocol")
     protocol["resamples"] = 1
     for test in _TESTS:
@@ -167,7 +167,7 @@ class PipelineRunner:
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # A resume can change ``every``, the iterations between evaluations, so an evaluation may be overdue.
+        # A resume can lower ``every``, the number of iterations between evaluations, so an evaluation may be overdue.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 
@@ -209,7 +209,7 @@ class PipelineRunner:
         events = self._perform(self._request("evaluate", words, command, run=str(run), checkpoint=name), entry)
         found = events.get("evaluated")
         if found is None:
-            raise SimulationFailure("the process of the evaluation sent no result", key=str(run))
+            raise SimulationFailure("the evaluation's child process sent no result", key=str(run))
         verdict = judge(gate, found["metrics"])
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
         made = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}

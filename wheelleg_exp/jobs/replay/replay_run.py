@@ -96,8 +96,8 @@ class Replayed:
     whole: bool  # True if the replay repeated all iterations of the original run.
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # ``equal`` is true if the run's overrides still compose to the config that the run saved.
-    asset: Event  # If the replay did not convert the robot from its source files, ``note`` is the reason.
+    composed: Event  # ``composed["equal"]`` is true if the run's overrides still compose to the run's saved config.
+    asset: Event  # ``asset["note"]`` is the reason why the replay did not convert the robot from its source files.
     notes: list[str]
     kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison

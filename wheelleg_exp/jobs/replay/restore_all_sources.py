@@ -38,11 +38,11 @@ class RestoredSource:
     """All source folders that were restored for a replay of a run."""
 
     trees: list[RestoredTree] = field(default_factory=list)  # ``trees[0]`` is the folder of the package wheelleg_exp.
-    places: dict[str, Path] = field(default_factory=dict)  # Each package name maps to the folder with the package.
+    places: dict[str, Path] = field(default_factory=dict)  # ``places`` maps packages to the folders that contain them.
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
     source_roots: list[Path] = field(default_factory=list)  # all source folders except the folder of wheelleg_exp
-    moved: dict[str, Path] = field(default_factory=dict)  # Each folder of the original run maps to its restored copy.
+    moved: dict[str, Path] = field(default_factory=dict)  # ``moved`` maps recorded source folders to restored copies.
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:
@@ -99,7 +99,7 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 def _restore(
     run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
-    # Give the restored source folder its recorded name, because imports can depend on the name.
+    # Give the restored source folder the original folder's name, because imports can depend on the name.
     name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
     destination = work / "source" / str(number) / name
     with for_people(destination.parent):
@@ -125,7 +125,7 @@ def _restore(
                 "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
             )
         source.places[PACKAGE] = folders.pop(0)
-    # Add a note to the replay's output for each source file that the original run did not capture.
+    # Add a note to the replay's output for each source file that the original run did not store.
     for entry in record["refused"]:
         now = "is as committed" if os.path.lexists(destination / entry["path"]) else "is missing"
         source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")

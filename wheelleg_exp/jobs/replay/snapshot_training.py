@@ -44,7 +44,7 @@ class Request:
     source_roots: list[str]
     moved: dict[str, str]  # maps each recorded source folder to its restored folder
     command: list[str]
-    facts: dict[str, Any]  # further entries in the manifest of the run that the replay trains
+    facts: dict[str, Any]  # additional entries for the manifest of the replay's run
 
     def line(self) -> bytes:
         """Return the request for a replay as one line of JSON."""
@@ -56,7 +56,7 @@ class Request:
         found = json.loads(line)
         if found.get("protocol") != PROTOCOL:
             raise WheellegError(
-                f"unknown version {found.get('protocol')!r} of the replay protocol", expected=str(PROTOCOL)
+                f"unknown protocol version {found.get('protocol')!r} in a replay request", expected=str(PROTOCOL)
             )
         return cls(**{field.name: found[field.name] for field in fields(cls)})
 

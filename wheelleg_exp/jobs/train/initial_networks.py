@@ -26,12 +26,12 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import load_params, upgrade_env_params
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_iteration
 
-# The config keys of an observation group that, with the group's terms, decide the layout of the group's vector.
+# ``_LAYOUT_KEYS`` are the config keys of an observation group that decide the layout of the observation vector.
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
-# The config keys of an observation term that decide the term's function and width.
+# ``_TERM_KEYS`` are the config keys of an observation term that decide its function and its number of values.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
 Tree = Mapping[str, Any]  # ``Tree`` is the type of config sections and of loaded checkpoints.
-_IGNORED_KEYS = ("noise",)  # The keys of an observation term that can change while a trained policy remains usable.
+_IGNORED_KEYS = ("noise",)  # A change of an observation term's ``noise`` leaves a trained policy usable.
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _shorten(value: Any) -> str:
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# The parts of a checkpoint that a new training copies, for each value of `init_from_what`.
+# For each value of `init_from_what`, ``PARTS`` names the parts of a checkpoint that a new training copies.
 PARTS = {"networks": ("actor", "critic"), "policy": ("actor",), "learning": ("actor", "critic", "optimizer")}
 
 
@@ -162,7 +162,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         what = _parts_name(config)
         parts = PARTS[what]
         if "actor" not in config["agent"]:
-            raise ConfigError("a student cannot start with a saved policy", key=KEY, expected="null, or another agent")
+            raise ConfigError("a distillation needs an untrained student", key=KEY, expected="null, or another agent")
         absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
         if absent:
             message = f"'{source.label}' has no {absent[0]} to start with"

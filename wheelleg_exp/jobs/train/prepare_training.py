@@ -154,7 +154,7 @@ def create_run(
             display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")
         sync_folder(directory.path)
     except BaseException:
-        if not (directory.path / MANIFEST_NAME).exists():  # A folder without a manifest is not used as a run.
+        if not (directory.path / MANIFEST_NAME).exists():  # A run directory without a manifest is useless: remove it.
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
     return directory, manifest

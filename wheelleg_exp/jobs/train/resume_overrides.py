@@ -33,7 +33,7 @@ from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import RESERVED
 from wheelleg_exp.verify.run_differences import decides
 
-# The settings on which the saved training state depends, so that a resume cannot change them, with the reasons.
+# ``_FIXED`` maps each setting that a resume cannot change to the reason.
 _FIXED: dict[Keys, str] = {
     ("seed",): "the random streams continue from their saved state",
     ("task",): "the run belongs to its task",
@@ -57,8 +57,8 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
 _CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can switch CUDA graphs (``env.sim.graph_step``) on or off.
-_NEW_KEYS = ("init_from", "init_from_what")  # The keys that the configs of older runs lack.
-# The keys of an observation term or group that change neither the width nor the meaning of the observation vector.
+_NEW_KEYS = ("init_from", "init_from_what")  # Configs of older runs lack ``_NEW_KEYS``.
+# A resume can change the keys ``noise``, ``clip``, ``scale``, and ``enable_corruption`` of observations.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 

@@ -35,7 +35,7 @@ class ResumePoint:
     checkpoint: Path | None  # the checkpoint from which the run resumes; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
     lines: Sequence[Line]  # the complete lines in the run's iteration log
-    damaged: Mapping[Path, str]  # checkpoints after ``iteration`` that cannot be used, each with the reason
+    damaged: Mapping[Path, str]  # maps each unusable checkpoint to the reason; all of them are newer than ``iteration``
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
@@ -136,7 +136,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
                 path.unlink()
             elif path in temporaries(run.exported):  # A killed export process can leave a temporary folder.
                 shutil.rmtree(path)
-        (run.path / FAILURE).unlink(missing_ok=True)  # The manifest describes the failure of the run.
+        (run.path / FAILURE).unlink(missing_ok=True)  # Delete the simulation state of a failure before the resume.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)

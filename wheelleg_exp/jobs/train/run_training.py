@@ -94,7 +94,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            # Replace a count of NaNs that the run's manifest contains from before a resume.
+            # After a resume, replace the old count of NaNs in the run's manifest.
             if failed or "non_finite" in training.manifest.results:
                 results["non_finite"] = dict(failed)
             yield iteration

@@ -97,7 +97,7 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
 
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"
 _WANDB_PROJECT = "wheelleg_exp"
-# Settings that stop wandb from sending the host, the program, the packages, the console, and the source code.
+# ``_WANDB_SETTINGS`` stop wandb from sending host name, program, packages, console output, and source code.
 _WANDB_SETTINGS: dict[str, Any] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
 _WANDB_SETTINGS |= dict.fromkeys(("silent", "disable_code", "disable_git", "disable_job_creation"), True)
 _WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x_disable_stats"), True)
@@ -128,7 +128,7 @@ class WandbLog:
             self._run = wandb.init(
                 project=os.environ.get("WANDB_PROJECT", _WANDB_PROJECT),
                 name=f"{task}/{self._directory.id}",
-                id=f"{task}-{self._directory.id}-{moment:%f}",  # Several trainings can start in the same second.
+                id=f"{task}-{self._directory.id}-{moment:%f}",  # Microseconds make the wandb run's id unique.
                 resume="allow",
                 dir=os.environ.get("WANDB_DIR", str(self._directory.root)),
                 config=dict(self._config),

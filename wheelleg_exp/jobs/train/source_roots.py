@@ -105,7 +105,7 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # Do not resolve links in paths, because the system's module sitecustomize is a link in the standard library.
+    # Do not resolve symbolic links here, because the standard library's module sitecustomize can be a link.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 
@@ -166,7 +166,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
-    # Skip each recorded source folder that is neither trusted, nor installed, nor imported by this process.
+    # Use a recorded source folder only if the user trusts it, or if it is installed or imported by this process.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     records = [record for record in _records(load_source(run)) if record["root"] is not None]
     recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]

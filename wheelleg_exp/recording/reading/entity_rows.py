@@ -67,7 +67,7 @@ class EntityRows:
             try:
                 table = pa.concat_tables(tables, promote_options="permissive").combine_chunks()
                 if STEP in table.column_names:
-                    # Drop recorded rows without a control step, because all rows are sorted by control step.
+                    # Drop recorded rows without a control step number, because rows are sorted by this number.
                     table = table.filter(table.column(STEP).is_valid()) if table.column(STEP).null_count else table
                     steps = np.asarray(table.column(STEP))
                     if not (steps[1:] >= steps[:-1]).all():
@@ -89,7 +89,7 @@ class EntityRows:
         except (pa.ArrowException, ValueError, TypeError, AttributeError) as error:
             raise self._mixed(entity) from error
         if len(flat) != len(table) * width:
-            raise RunDirectoryError(f"the rows of '{entity}' in '{self.path}' have different widths")
+            raise RunDirectoryError(f"the rows of '{entity}' in '{self.path}' contain different numbers of values")
         return flat.reshape(len(table), -1)
 
     def width(self, entity: str) -> int:

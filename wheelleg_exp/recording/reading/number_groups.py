@@ -17,7 +17,7 @@ from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
 _NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
-# A damaged recording can contain huge tables, so limit the number of table columns and the length of their names.
+# A damaged recording can contain huge tables, so limit the number of columns and the length of column names.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 

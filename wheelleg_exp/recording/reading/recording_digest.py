@@ -19,7 +19,7 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, columns,
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# A digest leaves out texts and wall-clock times, because they differ between equal runs.
+# A recording's digest omits recorded texts and wall-clock times, because these differ between equal runs.
 LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 

@@ -61,7 +61,7 @@ class Follower:
     def __init__(self, path: Path) -> None:
         self._file = RrdFile(path)
         self._place = HEADER_SIZE
-        self._announced = b""  # In an rrd file, a recording's header message precedes the recording's data chunks.
+        self._announced = b""  # ``_announced`` contains the header messages of the rrd file's recordings.
 
     def chunks(self) -> Iterator[tuple[str, Chunk]]:
         """Yield each data chunk that the run completed since the last call, with the id of the chunk's recording."""

@@ -146,7 +146,7 @@ class RecordedEnvironment:
         self.frames = Frames(recorded_frames.environment_channels(env, env_id, paths, self.episodes))
         self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
-        # Read each recorded quantity once, so that a quantity with a wrong width raises an error before the rollout.
+        # Read each quantity once, so that a quantity with a wrong number of values raises an error before the rollout.
         self.frames.append()
         self.frames.clear()
         self._draw(env)
@@ -169,7 +169,7 @@ class RecordedEnvironment:
     def frame_bytes(self, rows_together: int) -> float:
         """Return an upper estimate of a frame's bytes in a recording with ``rows_together`` frames per data chunk."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # Add rerun entities that have no channel: roll, pitch, yaw, contacts, 2 velocity arrows, and body poses.
+        # Also count the rerun entities outside ``channels``: roll, pitch, yaw, contacts, 2 velocity arrows, body poses.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
-# Every joint of an actuator group needs a value of each parameter in ``NEEDED``.
+# The config of an actuator group must set each parameter in ``NEEDED`` for every joint of the group.
 NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
@@ -51,7 +51,7 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # ``reads_state=False`` means that controls depend only on joint targets.
+    reads_state: ClassVar[bool] = True  # ``reads_state=False``: the actuator's control depends only on joint targets, not on positions and velocities.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 

@@ -32,7 +32,7 @@ class ImplicitActuator(ActuatorBase):
         actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        del data  # MuJoCo's solver subtracts the feedback kp q + kd qd from the control.
+        del data  # MuJoCo's solver itself adds the feedback -kp q - kd qd of joint positions q and velocities qd.
         ids = self._columns
         control = self.stiffness * targets.pos[:, ids]
         control += self.damping * targets.vel[:, ids]

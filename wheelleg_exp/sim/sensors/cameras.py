@@ -31,7 +31,7 @@ Convention = Literal["world", "ros", "opengl"]
 CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Convention]
 DepthClipping = Literal["max", "zero", "none"]
 DEPTHS = ("depth", "distance_to_image_plane", "distance_to_camera")
-# For each camera convention of Isaac Lab, ``_FROM_WORLD`` has the quaternion (w, x, y, z) from convention ``world``.
+# ``_FROM_WORLD`` maps each camera convention of Isaac Lab to the rotation (w, x, y, z) from the convention ``world``.
 _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
     "world": (1.0, 0.0, 0.0, 0.0),
     "ros": (0.5, -0.5, 0.5, -0.5),
@@ -210,7 +210,7 @@ class Camera(LazySensor):
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
         height, width = self.image_shape
-        # In MuJoCo, a positive ``principal_length`` of a camera shifts the image's centre to the left and up.
+        # A positive ``principal_length`` of a MuJoCo camera shifts the image's centre to the left and up.
         lens: dict[str, Any] = {"focal_length": [self._focal_length] * 2, "sensor_size": self._aperture}
         lens["principal_length"] = [-self._focal_length * shift for shift in self._shift]
         pose: dict[str, Any] = {"pos": self._offset["pos"], "quat": opengl_quat(self._offset)}
@@ -264,7 +264,7 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        # A background pixel has the geom id -1, which selects the last segmentation id, the id of the background.
+        # The last segmentation id is the background's, because the index -1 of a background pixel selects the last entry.
         return self._numbers[kind][seen["geom"].long()]
 
     def state_dict(self) -> dict[str, Any]:

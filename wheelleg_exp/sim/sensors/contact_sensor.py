@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
 
-# ``_SIZES`` has the sizes of a contact's fields in MuJoCo's order; the normal force is the first force component.
+# ``_SIZES`` maps each data field of MuJoCo's contact sensor to the number of its components.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
 FIELDS = tuple(_SIZES)
-NORMAL = ("found", "force", "normal")  # A sensor computes the normal force from the fields in ``NORMAL``.
+NORMAL = ("found", "force", "normal")  # The normal force on a body needs these data fields of MuJoCo's contact sensor.
 
 
 def width(fields: tuple[str, ...]) -> int:
@@ -66,7 +66,7 @@ class ContactPairs:
     def points(self) -> torch.Tensor:
         """Return the mean contact position of each sensed body with each other body, m, (N, B, M, 3), or NaN."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # The sensor values of missing contacts are zero.
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # MuJoCo fills the unused contact slots with zeros.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -103,7 +103,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # The first read of the force history creates its tensor.
+        self._history: torch.Tensor | None = None  # None until ``net_forces_w_history`` is read.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -126,7 +126,7 @@ class ContactSensorData(Kept):
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
         """Replace the force history by a sequence of tensors (N, B, 3), with the newest force first."""
-        self.forces[:] = forces  # Change the list of forces in place, because captured CUDA graphs refer to the list.
+        self.forces[:] = forces  # Captured CUDA graphs refer to this list, so change it in place.
         self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
@@ -348,7 +348,7 @@ class ContactSensor(SensorBase):
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        # The contact normal points away from the sensed body, and force[0] >= 0 pushes the two bodies apart.
+        # Negate the sum, because contact normals point away from the sensed body, and a normal force >= 0 pushes the body back.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
         self._largest_norm = None
@@ -361,7 +361,7 @@ class ContactSensor(SensorBase):
         elapsed = elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1)
         contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
         for mode, active in (("contact", contact), ("air", ~contact)):
-            # Add up the time in contact or in the air; when a contact or flight phase ends, store the phase's duration.
+            # Measure the time in contact and the time in the air; at the end of a phase, store its duration as the last time.
             current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
             ended = ~active & (current > 0.0)
             lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
@@ -382,7 +382,7 @@ class ContactSensor(SensorBase):
         return type(self).refresh is not ContactSensor.refresh
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        self._is_new.index_fill_(0, env_ids, False)  # Contact forces exist only after a physics step.
+        self._is_new.index_fill_(0, env_ids, False)  # After a reset, contact forces are unknown until a physics step.
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""

@@ -28,7 +28,7 @@ class PatternBase(Kept):
     def checked_rays(self, device: torch.device) -> Rays:
         """Return the rays of a pattern; raise ConfigError if the pattern's method ``rays`` has an invalid result."""
         if type(self).__module__ == __name__:
-            # Torch's meta device gives the shape of the rays without allocating memory.
+            # Tensors on torch's meta device have a shape but no memory, which is enough for counting the rays.
             count = len(self.rays(torch.device("meta"))[0])
             require_memory(24 * count, "pattern", f"{count:,} rays")
         with blamed("pattern", self):

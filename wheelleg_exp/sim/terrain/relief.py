@@ -62,7 +62,7 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # the memory stride between neighbouring heights along x
+        along_x = cells[..., 1] + slanted  # ``along_x`` is the memory stride between neighbours along x.
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
@@ -74,7 +74,7 @@ class HeightMap:
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # Isaac Lab uses the margin 0.001 when it assigns sub-terrains to columns.
+_MARGIN = 0.001  # Isaac Lab adds this margin to column index / columns before it chooses a terrain column's sub-terrain.
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # If a tile lacks flat patches that another sub-terrain defines, the tile's origin replaces the missing patches.
+    # If a tile's sub-terrain does not define flat patches of some name, the tile's origin replaces each of these patches.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():
@@ -127,14 +127,14 @@ def make_relief(layout: Layout) -> Relief:
                 raise ConfigError(message, key=key, expected="the same number on all sub-terrains")
     patches = {name: np.zeros((*shape, count, 3)) for name, count in counts.items()}
     tiles: dict[tuple[int, int], Tile] = {}
-    # With a curriculum, the tiles are generated column by column.
+    # As in Isaac Lab, a terrain with a curriculum is generated column by column, else row by row.
     order = list(np.ndindex(shape)) if not layout.curriculum else [(r, c) for c, r in np.ndindex(shape[::-1])]
     for row, col in with_progress("making tiles", order):
         kind, difficulty = _chosen(layout, row, col, rng)
         part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
         tile = _tile(layout, part, difficulty, rng, key)
         kinds[row, col], difficulties[row, col], tiles[row, col] = kind, difficulty, tile
-        # The origin of a tile has the largest height in a central window, whose edges are a share of the tile's edges.
+        # The height of a tile's origin is the largest height in a window at the tile's centre.
         windows = []
         for count in tile.heights.shape:
             reach = max(0.5, layout.origin_window * count / 2)

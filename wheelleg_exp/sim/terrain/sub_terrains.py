@@ -15,7 +15,7 @@ from wheelleg_exp.state import Kept
 Array = npt.NDArray[np.float64]
 # Do not import annotations from __future__ here, because the fields' annotations must be types, not strings.
 # A subclass in a user's module could not evaluate inherited string annotations, which need this module's imports.
-_POINTS = 10  # As in Isaac Lab, a patch is flat if ten points on each ring around its centre have similar heights.
+_POINTS = 10  # As in Isaac Lab, a flat patch has similar heights at ten points on each ring around its centre.
 _ROUNDS = 1000
 
 
@@ -75,7 +75,7 @@ class FlatPatches(Kept):
         raise ConfigError(message, key=key, expected="a smaller patch_radius, a larger max_height_diff or wider ranges")
 
 
-EDGE = 1e-9  # A point at most 1e-9 m outside of a tile's edge counts as inside the tile.
+EDGE = 1e-9  # Because of rounding errors, a point 1e-9 m outside of a terrain tile still counts as inside.
 
 
 @dataclass(frozen=True)
@@ -241,13 +241,13 @@ def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray,
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # Round near-integer positions, so that a grid point at the place of a random height gets exactly this height.
+    # Rounding gives a grid point at the place of a random height exactly this height, despite rounding errors.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count
 
 
-_SECOND = 0.6  # In Isaac Lab, the outer of two rails or steps is at 60 % of the way from platform to edge of a tile.
+_SECOND = 0.6  # As in Isaac Lab, the second rail or step is at 60 % of the way from a tile's platform to its edge.
 
 
 @dataclass(kw_only=True)

@@ -134,7 +134,7 @@ class HeightField(_FromFile):
 
         try:
             picture = imread(file)
-        except Exception as error:  # Matplotlib raises many types of errors for a damaged image.
+        except Exception as error:  # Matplotlib raises errors of many types for a damaged image file.
             raise ConfigError(
                 f"the file '{self.file}' is not a readable image", key=self._key, expected="a .png file"
             ) from error
@@ -206,7 +206,7 @@ class Mesh(_FromFile):
         require_memory(200 * cells, f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,} cells of the ground")
         x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        # A vertical ray may pass between two triangles of a mesh, so cast two rays close to each grid point.
+        # Cast two rays close to each grid point, because one vertical ray can slip between two triangles of the mesh.
         probe, inset = Probe(add_to), 1e-6 * edges
         inner = low[:2] + inset / 3, high[:2] - inset / 3
         near = [(points + side * inset * (0.6, 0.4)).clip(*inner) for side in (-1, 1)]

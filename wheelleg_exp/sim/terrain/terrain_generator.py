@@ -47,7 +47,7 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        # Decompose the tile into boxes ``(i0, i1, j0, j1, top)`` in two ways, and use the way with fewer boxes.
+        # Split the terrain tile into boxes in two ways, side by side or stacked, and use the split with fewer boxes.
         levels = np.unique(heights)
         apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
         nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
@@ -55,7 +55,7 @@ def add_tile(
             low, high = corner + cell * (i0, j0), corner + cell * (i1, j1)
             add_box(spec, f"{name}/{number}", friction, (*low, lowest - depth), (*high, top))
     else:
-        # MuJoCo scales the heights of a height field to [0, 1], and the rows of a height field are along y.
+        # The heights in a MuJoCo height field are from 0 to 1, and its rows run along y.
         span, (columns, rows) = highest - lowest, heights.shape
         data = ((heights - lowest) / span).T.ravel()
         spec.add_hfield(name=name, nrow=rows, ncol=columns, size=[size[0] / 2, size[1] / 2, span, depth], userdata=data)
@@ -74,7 +74,7 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
             started[run] = i
 
 
-ORIGIN_WINDOW = 0.25  # Robots start at the largest height in a tile's central square, a quarter of the tile wide.
+ORIGIN_WINDOW = 0.25  # A robot starts at the largest height in the middle of its terrain tile, within a quarter of the tile's width.
 _BYTES = 40  # NumPy, torch and MuJoCo together need 40 bytes per grid square of the ground.
 
 

@@ -91,7 +91,7 @@ class Term:
         """Return the robot's measured minus commanded distance (m) and heading (rad), clipped to maximum errors."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # Measured minus commanded travel is 0 in the first step after a reset.
+        if -1 in self.memory:  # In the first step after a reset, the errors of distance and heading are 0.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
@@ -248,7 +248,7 @@ class Policy:
             low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
             if term["rescale"]:
                 x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
-            if "alpha" in term:  # The moving average of the actions starts at the current joint positions.
+            if "alpha" in term:  # The moving average of joint targets starts at the current joint positions.
                 last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
                 x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
                 self.averages[term["name"]] = x

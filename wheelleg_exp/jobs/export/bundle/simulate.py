@@ -105,7 +105,7 @@ class Robot:
             ids, limit = drive["joint_ids"], array(drive["effort_limit"], np.inf)
             kp, kd = array(drive["stiffness"]), array(drive["damping"])
             torque = kp * targets["position"][ids] + kd * targets["velocity"][ids] + targets["effort"][ids]
-            if drive["law"] != "implicit":  # For a joint with an implicit drive, MuJoCo itself computes the PD law.
+            if drive["law"] != "implicit":  # For implicit actuators, MuJoCo itself computes the PD law.
                 torque = np.clip(torque - kp * q[ids] - kd * qd[ids], -limit, limit)
             if drive["law"] == "dc_motor":
                 stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
