@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.asset.conversion_cache import CachedConversion, convert_cached, source_digest
     from wheelleg_exp.asset.convert_robot import Conversion, convert
 
-_LAZY = {  # Importing a conversion function loads the USD and MuJoCo libraries, which takes a second.
+_LAZY = {  # Each function is imported at its first use, because loading the USD and MuJoCo libraries takes a second.
     **dict.fromkeys(("Conversion", "convert"), "convert_robot"),
     **dict.fromkeys(("CachedConversion", "convert_cached", "source_digest"), "conversion_cache"),
 }

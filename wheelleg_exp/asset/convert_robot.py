@@ -109,7 +109,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         return robot, report
     frame, turned = Frame.of(root.pose), list[Body]()
     for body, child in pairwise(path):
-        # Each massless link becomes the child of its former child, so the pose between the two links is inverted.
+        # A massless root link and its child swap the roles of parent and child, so the pose between them is inverted.
         inside = Frame.of(child.pose)
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside
@@ -194,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # If the new MJCF did not replace the old MJCF, move the folder with the old MJCF's meshes back to its place.
+        # If the old MJCF file is still in place, move the folder with its meshes back to its place, too.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

@@ -27,7 +27,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
         return
-    # A group contains bodies that are welded together; the first body of a group has the joint that moves the group.
+    # Collect groups of welded bodies; each group moves with the joint of its first body, ``top``.
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -59,7 +59,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
         joints = np.flatnonzero(moving & (model.body_rootid[model.jnt_bodyid] == root))
         if not len(geoms) or not len(joints):
             continue
-        # A rotated box has the half extents abs(rotation) @ (its own half extents) along the root body's axes.
+        # Along the root body's axes, the half extents of a rotated box are abs(rotation matrix) @ (its half edges).
         axes, turns = data.xmat[root].reshape(3, 3), data.geom_xmat[geoms].reshape(-1, 3, 3)
         boxes = model.geom_aabb[geoms]
         centers = (data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turns, boxes[:, :3])) @ axes
@@ -99,7 +99,7 @@ def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
         for item in ledger.findings
     )
     mapped, assumed, left, warnings = ledger.entries()
-    # A root body is floating, fixed to the world, or attached to the world by a joint.
+    # Each root body of the robot floats, is fixed to the world, or is attached to the world by a joint.
     roots = list(robot.children(None))
     kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
     return Report(

@@ -80,7 +80,7 @@ def rotation_matrix(quat: Quat) -> Array:
 def quaternion(matrix: Array) -> Quat:
     """Return the quaternion (w, x, y, z) of a rotation matrix, w not negative (Shepperd's method)."""
     m = matrix
-    # Compute the quaternion times its largest component, because this product has the smallest relative rounding error.
+    # Shepperd's method first finds the quaternion's largest component, because division by it has the smallest error.
     diagonal = [np.trace(m), m[0, 0], m[1, 1], m[2, 2]]
     largest = int(np.argmax(diagonal))
     if largest == 0:
@@ -144,7 +144,7 @@ def split_scale(linear: Array) -> tuple[Array, Array]:
 
     If the map ``linear`` has a negative determinant, ``stretch`` has one too, and ``rotation`` has the determinant 1.
     """
-    # With linear = u diag(values) vt, the rotation is u vt and the stretch is vt' diag(values) vt.
+    # The singular value decomposition u diag(values) vt gives the rotation u vt and the stretch vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
     rotation = u @ vt
     stretch = vt.T @ np.diag(values) @ vt
@@ -169,7 +169,7 @@ Z_TO_AXIS = {  # rotation matrices
 
 
 WATER = 1000.0  # kg/m³, the default density
-BARE_MASS, BARE_RADIUS = 1.0, 0.1  # As in PhysX, a body without mass and colliders is a sphere of 1 kg.
+BARE_MASS, BARE_RADIUS = 1.0, 0.1  # As in PhysX, a body without mass and colliders counts as a sphere of 1 kg.
 MeshVolume = Literal["convex", "exact", "legacy", "shell"]
 
 
@@ -238,7 +238,7 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
         p, q = max(((1, 2), (0, 2), (0, 1)), key=lambda pair: abs(left[pair]))
         if abs(left[p, q]) <= smallest:
             break
-        # Rotate by the smaller of the two angles that make element (p, q) of a symmetric matrix zero.
+        # Jacobi rotation: use the smaller of the two angles that make the matrix element (p, q) zero.
         cot = (left[q, q] - left[p, p]) / (2 * left[p, q])
         tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
         cos = 1 / math.hypot(tan, 1.0)
@@ -327,7 +327,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
     body = spec.worldbody.add_body()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
-    # MuJoCo compiles the mesh at unit size, so multiply its volume, centre, and inertia by powers of the original size.
+    # The compiled mesh has unit size, so scale its volume, centre, and inertia by powers of the original size.
     model = spec.compile()
     axes = rotation_matrix(tuple(model.body_iquat[1]))
     inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T

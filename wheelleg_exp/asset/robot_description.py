@@ -298,7 +298,7 @@ class RobotDescription:
 
 RESERVED = frozenset({"world"})  # MuJoCo's root body
 DEEPEST = 8  # parts of a path
-LONGEST_FILE = 100  # A mesh file's name is cut to 100 characters, far below the 255 bytes that file systems allow.
+LONGEST_FILE = 100  # Mesh file names are cut to 100 characters, because most file systems allow at most 255 bytes.
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
@@ -309,7 +309,7 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # In each iteration, prepend the name of one more parent prim to every name that several prims share.
+    # In each iteration, prepend one more parent's name to every name that several USD prims share.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]

@@ -72,7 +72,7 @@ class ArticulationData(RobotData):
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # ``_vel_before`` has the bodies' velocities before the last physics step; None until code reads an acceleration.
+        # ``_vel_before`` has the bodies' velocities before the last physics step. None: no acceleration was read.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
@@ -206,8 +206,8 @@ class ArticulationData(RobotData):
         After a reset or a write of velocities, all accelerations are 0 until the next physics step.
         """
         if self._vel_before is None:
-            # At the first read of an acceleration, compute the velocities that the bodies had before the last physics step.
-            # For this computation, set the engine's qpos and qvel to their values before that step, and call ``forward``.
+            # The first read of an acceleration must compute the bodies' velocities before the last physics step.
+            # To compute these velocities, set qpos and qvel to their values before that step, and call ``forward``.
             # Then restore the engine's present qpos and qvel.
             # After the first read of an acceleration, each physics step starts by storing the bodies' velocities.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0

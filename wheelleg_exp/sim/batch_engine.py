@@ -108,7 +108,7 @@ class BatchEngine(Engine):
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
-        # MuJoCo checks for NaN and huge values only before a physics step, then resets the simulation and counts a warning.
+        # Before each physics step, MuJoCo resets a simulation with NaN or huge values, and counts a warning.
         # Therefore, also search the results of the last step, qpos and qvel, for NaN and inf.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 

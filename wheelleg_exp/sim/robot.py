@@ -83,14 +83,14 @@ class Robot(RobotWriters):
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
         # ``_root_xfrc`` is a view (2, 3, N) of the external force and torque on the root links of N environments.
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
-        # ``_stale`` lists the indices of environments whose robot state was written since the last call of ``take_stale``.
+        # ``_stale`` lists the environments whose robot state was written since the last call of ``take_stale``.
         # A list of index tensors is cheaper than a mask, because most writes of a reset use the same index tensor.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # The tensor ``_wrench`` of external forces and torques has the same memory order as a result of ``quat_to_matrix``.
+        # ``_wrench`` (external forces and torques) has the same memory order as the result of ``quat_to_matrix``.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 

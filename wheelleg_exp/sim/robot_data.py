@@ -76,7 +76,7 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Create the view of actuator torques now, because a view contains zeros until the first physics step after its creation.
+        # Create the view of actuator torques now, because a new view contains zeros until the next physics step.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:

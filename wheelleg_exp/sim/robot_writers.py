@@ -137,7 +137,7 @@ class RobotWriters(Kept):
         velocity = root_velocity.to(dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
         angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
-        # The velocity of the link's origin is the CoM's velocity minus R (omega x c), where c is the CoM's position in the link.
+        # The link origin's velocity is the CoM's velocity minus R (omega x c), with the CoM's position c in the link.
         lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
         self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
 
@@ -261,7 +261,7 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # Each change of ``_wrench_bodies`` needs a new CUDA graph, so a body without external force stays in this tuple.
+        # A change of ``_wrench_bodies`` needs a new CUDA graph, so a body without external force stays in this tuple.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
@@ -340,7 +340,7 @@ class RobotWriters(Kept):
         data.default_joint_pos[ids] = data.default_joint_pos[ids].clamp(now[..., 0], now[..., 1])
         rows, places = ids.unsqueeze(1), self.layout.joint_ids[joints]
         written = now[:, joints].to(sim.dtype)
-        # MuJoCo enables the lower and the upper limit of a joint together, so a very large number replaces an infinite limit.
+        # MuJoCo enables a joint's lower and upper limit together, so a very large number replaces an infinite limit.
         far = 2.0 * math.pi * 1e6
         if sim.may_differ("jnt_limited") or not self.layout.all_limited:
             sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)

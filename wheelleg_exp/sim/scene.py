@@ -27,7 +27,7 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
-_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a MuJoCo model skips these fields, which contain or count file paths.
+_FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a model skips its fields of file paths.
 
 
 class Scene(Kept):
@@ -73,7 +73,7 @@ class Scene(Kept):
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
         # In each contact of robot and ground, PhysX uses the average of the two friction coefficients.
-        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get priority and this average.
+        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get this average.
         ground = self.terrain.friction(robot.friction_source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
@@ -167,7 +167,7 @@ class Scene(Kept):
 
     def require_compiled_model(self) -> None:
         """Raise ConfigError, which names the changed fields, if a manager term has written to the compiled model."""
-        # The engine simulates a copy of the MuJoCo model, so a write to the original model would silently have no effect.
+        # The engine simulates a copy of the MuJoCo model, so a write to the original model has no effect.
         now = _checksums(self.model)
         if changed := [name for name, value in self._compiled.items() if now[name] != value]:
             raise ConfigError(

@@ -103,7 +103,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # The simulation ``ids[k]`` of MuJoCo's batch casts the block of rays k of ``starts[some]`` and ``ways[some]``.
+            # The simulation ``ids[k]`` of MuJoCo's batch casts row k of the rays ``starts[some]`` and ``ways[some]``.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

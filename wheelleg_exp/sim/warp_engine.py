@@ -182,7 +182,7 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
-            # Each simulation now gets its own outputs of MuJoCo's ``set_const``, in new arrays that old CUDA graphs do not use.
+            # The outputs of MuJoCo's ``set_const`` get new arrays, so captured CUDA graphs are no longer valid.
             self._graphs.forget()
             for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
                 self._fields.expand(name)
@@ -263,7 +263,7 @@ class WarpEngine(Engine):
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
         points, ways = origins.to(self.dtype), directions.to(self.dtype)
-        # mujoco-warp casts the same number of rays in every simulation, so simulations outside ``ids`` cast unused rays.
+        # mujoco-warp casts equally many rays in all simulations, so simulations outside ``ids`` cast unused rays.
         if ids is not None:
             shape = (self.num_envs, *points.shape[1:])
             points = points.new_zeros(shape).index_copy_(0, ids, points)

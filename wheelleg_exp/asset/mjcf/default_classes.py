@@ -35,7 +35,7 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
     carriers = {movers[body.parent] for body in robot.bodies if body.parent is not None and body.dofs}
     wheels = [name for name in groups if name not in carriers and _is_wheel(groups[name], bodies, meshes)]
     kinds = dict.fromkeys(wheels, WHEEL)
-    # Every joint on the way from a wheel to the trunk belongs to the leg of this wheel.
+    # A wheel's leg consists of the joints between this wheel and the robot's trunk.
     for name in wheels:
         parent = bodies[name].parent
         while parent is not None:
@@ -87,7 +87,7 @@ def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> b
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         across = points - middle - np.outer((points - middle) @ along, along)
         first = np.linalg.svd(along[None])[2][1:]  # perpendicular to ``along``
-        # A mesh is round about the joint's axis if its extents in eight directions across that axis are nearly equal.
+        # A mesh counts as round if its extents in eight directions perpendicular to the joint's axis are nearly equal.
         reach = [
             float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
             for angle in np.linspace(0, np.pi, 8, endpoint=False)
@@ -140,7 +140,7 @@ class Classes:
         rests = {name: _without(own, shared) for name, own in family.members.items()}
         for name, rest in rests.items():
             self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
-        # MJCF elements with equal attributes share a default class, so each number appears once in the MJCF.
+        # MJCF elements with equal attributes share a default class, so that the MJCF file does not repeat numbers.
         for names in _alike(rests, family.grouping):
             first, keys = rests[names[0]], family.grouping
             self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
@@ -194,9 +194,9 @@ class Classes:
         return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
 
     def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
-        # Choose a default class name that is unused, or that the same parent class uses only for a different XML tag.
+        # A new default class may share the name of a class that has the same parent and another MJCF element type.
         stem = self.common(names)
-        # MJCF class names are global, so the name of a child class includes the name of its parent class.
+        # Class names must be unique in the whole MJCF file, so a child class's name includes its parent class's name.
         if family.parent == self.root:
             stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
         else:

@@ -66,7 +66,7 @@ class Names:
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}
         self.anchors: dict[str | None, list[tuple[str, desc.Pose]]] = {}
-        # To close a loop of bodies, a MuJoCo equality connects two sites, one on each of the two bodies.
+        # MuJoCo closes a loop of bodies by an equality constraint between two sites, one on each of two bodies.
         for closure in robot.closures:
             made = self.equalities.setdefault(closure.name, [])
             several = len(closure.anchors) > 1
@@ -125,7 +125,7 @@ class Writer:
             self._geom(world, geom, static=True)
         self._sites(world, self.robot.static_sites, None)
         made: dict[str | None, Element] = {None: world}
-        for body in self.robot.bodies:  # ``bodies`` lists each parent body before its children.
+        for body in self.robot.bodies:  # ``robot.bodies`` lists each parent body before its children.
             made[body.name] = self._body(made[body.parent], body)
         contact = Element("contact")
         for first, second in self.robot.exclusions:
@@ -237,7 +237,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
-            # An XML attribute whose name is known only at run time cannot be passed as a keyword argument.
+            # This attribute's name (such as joint or tendon) varies, so it cannot be a keyword argument.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))

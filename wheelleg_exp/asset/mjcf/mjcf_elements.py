@@ -62,7 +62,7 @@ class Element:
 
 
 def _comment(text: str, pad: str) -> str:
-    safe = re.sub("-(?=-)|-$", "- ", text)  # XML comments must not contain a double hyphen or end with a hyphen
+    safe = re.sub("-(?=-)|-$", "- ", text)  # An XML comment must not contain two hyphens in a row or end with a hyphen.
     lines = safe.splitlines()
     if len(lines) == 1:
         return f"{pad}<!-- {safe} -->"
@@ -86,11 +86,11 @@ def number(value: float) -> str:
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom without a material.
-GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo's viewers show geoms of the groups 0 to 2 by default.
+GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo draws a geom without material and colour in this grey.
+GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # By default, MuJoCo's viewer shows only geoms of groups 0 to 2.
 
 Attributes = dict[str, Value]
-PLAIN: Attributes = {  # The MJCF omits an attribute whose value is MuJoCo's default.
+PLAIN: Attributes = {  # The MJCF file omits attributes that have these default values of MuJoCo.
     **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (0.02, 1.0)),
     **dict.fromkeys(("solimp", "solimplimit", "solimpfriction"), (0.9, 0.95, 0.001, 0.5, 2.0)),
     **dict.fromkeys(("margin", "gap", "stiffness", "damping", "armature", "frictionloss"), 0.0),

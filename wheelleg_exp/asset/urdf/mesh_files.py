@@ -76,7 +76,7 @@ class _File:
         return [item for node in visual.all("node") for item in self._below(node, np.eye(4), 0)]
 
     def _below(self, node: Element, above: Array, depth: int) -> Iterator[tuple[Element, Array]]:
-        # COLLADA nodes can refer to each other, so a COLLADA file of a few lines could describe millions of parts.
+        # Limit the number of nodes, because a COLLADA file of a few lines can repeat its nodes millions of times.
         self._parts += 1 + len(node.children)
         if depth > 50 or self._parts > MOST_PARTS:
             raise ValueError("the COLLADA file's nodes refer to each other in a cycle, or describe too many shapes")
@@ -213,7 +213,7 @@ def read_stl(data: bytes) -> Triangles:
         raise ValueError("the STL file is not a text file, and its length does not match its number of triangles")
     if len(corners) % 3:
         raise ValueError("a triangle of the STL file does not have three corners")
-    # View each triangle corner as one value, so that np.unique compares whole points; adding 0.0 turns -0.0 into 0.0.
+    # The bytes of a triangle corner become one value, so that np.unique finds equal points; adding 0.0 removes -0.0.
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -300,7 +300,7 @@ class Files:
                 yield self.folder / self.mesh_folder / Path(name).name
             yield from (above / name for above in self._above())
         elif scheme.group(1).lower() == "file":
-            # Some tools write a space in a file name as %20, and some do not.
+            # Try both spellings of a mesh file's name, because some tools write a space as %20.
             for path in dict.fromkeys((name[scheme.end() :], unquote(name[scheme.end() :]))):
                 yield Path("/" + path.lstrip("/"))
                 yield self.folder / path

@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # ``stack`` contains XML elements whose end tags are still unread.
+    stack: list[tuple[Element, list[str]]] = []  # ``stack`` has the XML elements that are still open.
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -77,7 +77,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
             stack[-1][1].append(text)
 
     def refuse_doctype(*_: object) -> None:
-        # XML entities, which need a document type, can grow without limit or read other files.
+        # Refuse a document type, because it can define XML entities that grow without limit or read other files.
         refuse("a document type (<!DOCTYPE ...>) is not allowed, because of entities", "a file without it")
 
     parser.buffer_text = True
@@ -145,7 +145,7 @@ class Document:
 
     def _parsed(self, element: Element, name: str, word: str) -> float:
         try:
-            return float(word.replace("_", "?"))  # Python's ``float`` accepts 1_000, but a URDF must not contain it.
+            return float(word.replace("_", "?"))  # Unlike ``float``, the converter rejects an underscore in a number.
         except ValueError:
             return self.fail(element, f"'{name}' is '{word[:SHOWN_TEXT]}'", "a number")
 
@@ -160,7 +160,7 @@ def open_document(source: Path) -> Document:
     if root.tag != "robot":
         message = f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>"
         raise AssetError(message, where=f"{source}:{root.line}", expected="<robot>")
-    # An XML element's path contains its attribute ``name`` if no sibling has the same name, else its position.
+    # The path of an XML element contains its attribute ``name`` if the name is unique among its siblings.
     root.path = f"/{root.tag}"
     for element in root.walk():
         named = Counter((child.tag, child.attributes.get("name")) for child in element.children)

@@ -16,7 +16,7 @@ from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
 from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
 from wheelleg_exp.asset.usd.gprims import Shape
 
-NOISE = 1e-6  # A link's inertia with a radius of gyration below 1e-6 m counts as missing in the URDF.
+NOISE = 1e-6  # A URDF link's inertia counts as missing if its radius of gyration is below 1e-6 m.
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -29,7 +29,7 @@ def inertials(
     """
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
-    # MuJoCo needs mass and inertia only for one link of each group of welded links.
+    # In each group of welded links, MuJoCo needs mass and inertia for only one link.
     groups: dict[str, list[Link]] = {}
     tops: dict[str, str] = {}
     for member in tree.depth_first():
@@ -42,7 +42,7 @@ def inertials(
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
-            # A moving link without mass gets a mass from its volume, or 1 kg as in PhysX.
+            # A moving link without mass gets a mass from its colliders' volume or, without colliders, 1 kg as in PhysX.
             heavy = {
                 link.name: part for link in unweighed if (part := _by_volume(document, link, colliders[link.name]))
             }

@@ -25,7 +25,7 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-# A planar URDF joint becomes two MuJoCo slides and one MuJoCo hinge, whose names end with the suffixes in PLANAR.
+# A planar URDF joint becomes two slide joints and one hinge joint of MuJoCo, whose names end with these suffixes.
 PLANAR = ("_transX", "_transY", "_rotZ")
 
 Range = tuple[float, float]
@@ -106,7 +106,7 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
         return None
     if None in found:
         ledger.assume(path, "only one limit is given: the other is 0, URDF's default", f"{low:g} to {high:g}")
-    # Exporters write a missing limit as a huge number. A hinge with a huge upper or lower limit has no limits.
+    # A hinge with one huge limit has no limits, because URDF exporters write huge numbers for missing limits.
     no_low, no_high = (endless(math.degrees(value) if angular else value, angular) for value in (low, high))
     if (no_low or no_high) if angular else (no_low and no_high):
         ledger.assume(path, "limits are infinite or huge: no limits", f"{low:g} to {high:g}")
@@ -248,11 +248,11 @@ class _Builder:
     def build(self) -> tuple[desc.RobotDescription, Files]:
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids, self.base)
-        # The URDF's world link becomes MuJoCo's world body, so the shapes of this link become static geoms.
+        # A URDF link named world becomes MuJoCo's world body, and its shapes become static geoms.
         links = [link for link in tree.depth_first() if link is not tree.world]
         if not links:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
-        # Order the bodies by tree, because a link on a floating joint is the root of a separate body tree.
+        # Sort the bodies by body tree, because a link on a floating URDF joint is the root of a separate body tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
         children: dict[str | None, list[desc.Body]] = {}
         for body in bodies:

@@ -178,7 +178,7 @@ class Shapes:
         """Return the name of a shape's mesh: its file's name, numbered if repeated. Equal meshes are stored once."""
         assert shape.vertices is not None
         assert shape.faces is not None
-        # Equal meshes share one file, except a visual and a collider, which have different inertia modes in MuJoCo.
+        # Equal meshes share one file, but a visual and a collider do not, because their inertia modes in MuJoCo differ.
         vertices = np.round(shape.vertices, 9) + 0.0
         key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
         if key not in self.meshes:

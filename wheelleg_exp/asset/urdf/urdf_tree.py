@@ -242,7 +242,7 @@ def _axes(document: Document, joint: Joint) -> tuple[Axis, ...]:
     elif joint.kind == "spherical":
         kinds = [("ball", (0.0, 0.0, 1.0))]
     elif joint.kind == "planar":
-        # The shortest rotation from z to a planar joint's axis turns x and y into the directions of the joint's slides.
+        # The two slides of a planar joint point along x and y, after the shortest rotation from z to the joint's axis.
         quat, turn = np.zeros(4), np.zeros(9)
         mujoco.mju_quatZ2Vec(quat, np.array(axis))
         mujoco.mju_quat2Mat(turn, quat)

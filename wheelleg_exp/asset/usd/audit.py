@@ -90,7 +90,7 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# If a USD schema matches _BY_ATTRIBUTES, the conversion report lists the schema's attributes instead of the schema.
+# For a USD schema that matches ``_BY_ATTRIBUTES``, the conversion report lists the single attributes.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"
@@ -193,7 +193,7 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         if "PhysicsMaterialAPI" in applied:
             return "not needed: the bound shapes have a mass, or nothing is bound to this material"
         return "mass properties count only on bodies, colliders, and materials"
-    # A property of a USD joint is omitted if the MJCF omits the whole joint.
+    # If the converter omits a USD joint, it also omits all attributes of this joint.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"

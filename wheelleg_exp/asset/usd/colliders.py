@@ -110,7 +110,7 @@ def find_pieces(stage: Stage, links: Links) -> list[Piece]:
 
 
 def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
-    # A prim's CollisionAPI applies to all gprims below it. A USD stage lists parents before their children.
+    # A USD prim's CollisionAPI applies to all geometry prims (gprims) below the prim; a stage lists parents first.
     carriers: dict[Sdf.Path, Usd.Prim] = {}
     for prim in stage.prims:
         path = prim.GetPath()
@@ -142,7 +142,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
-        elif shape.vertices is not None and shape.faces is None:  # The points of the mesh define a convex hull.
+        elif shape.vertices is not None and shape.faces is None:  # A mesh without faces means a convex hull.
             shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)

@@ -105,13 +105,13 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _round(kind: ShapeKind, prim: Usd.Prim, at: _Placing) -> Shape:
-    # The USD types Capsule_1 and Cylinder_1 have a separate radius for each end.
+    # The USD types Capsule_1 and Cylinder_1 have a top radius and a bottom radius.
     ends = ("radiusTop", "radiusBottom") if prim.GetTypeName().endswith("_1") else ("radius", "radius")
     top, bottom = (number_of(prim, name) for name in ends)
     (axis, note), half = _axis(prim), number_of(prim, "height") / 2
     along = "XYZ".index(axis)
     across = [i for i in range(3) if i != along]
-    # A capsule or cylinder with two different radii, a sheared one, and an oval cylinder become convex hulls.
+    # A capsule or cylinder becomes a convex hull if it has two radii, is sheared, or has an oval cross-section.
     tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
     oval = at.scale is None or (
         kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
@@ -194,7 +194,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
         vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
-    # A left-handed mesh and a mirroring transform each reverse the triangles, so together they change nothing.
+    # Reverse the triangles of a left-handed or mirrored mesh, but not of a left-handed mesh that is mirrored.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
     return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
 
@@ -222,7 +222,7 @@ def triangles(
     counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
     """Return triangles (k, 3): each polygon except holes as a fan around its first corner, in order."""
-    # A polygon of n corners gives n - 2 triangles. The arrays below split all polygons of the mesh at once.
+    # The arrays below split all polygons of a mesh at once; a polygon of n corners gives n - 2 triangles.
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     if holes is not None:

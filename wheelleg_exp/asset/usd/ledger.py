@@ -20,7 +20,7 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # Products of several numbers above 1e30 could overflow to infinity.
+HUGEST = 1e30  # Larger USD numbers are invalid, because their products could overflow to infinity.
 
 What = Literal["number", "flag", "text", "vector", "array"]
 
@@ -181,7 +181,7 @@ class Ledger:
         if not attribute or not attribute.HasAuthoredValue():
             return None
         value = value_of(attribute, kind_of(name))
-        # The conversion report shows the values of a joint's USD attributes next to the converted values.
+        # Store the USD values of joints, because the conversion report shows them next to the converted values.
         if isinstance(value, (float, int, str)) and prim.IsA(UsdPhysics.Joint):
             self.authored.setdefault(str(prim.GetPath()), {})[name] = value
         if became and value is not None:

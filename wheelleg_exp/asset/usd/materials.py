@@ -98,7 +98,7 @@ def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
 
     For a USD file with MuJoCo's own schemas, the friction is None, which means MuJoCo's default friction.
     """
-    # As in PhysX, a shape's own material overrides the scene's default material; without both, friction is a constant.
+    # As in PhysX, a shape without its own physics material uses the physics scene's default material.
     defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
     material = physics_material(stage, prim) or next(filter(None, defaults), None)
     if material is None:

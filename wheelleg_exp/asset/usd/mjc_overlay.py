@@ -143,7 +143,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
     if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
         extra["active"] = False
     name = f"{dof.name}_coupling"
-    # Newton's offset of a joint coupling is in the joint's USD unit, MuJoCo's offset in SI units.
+    # The offset newton:mimicCoef0 is in the joint's USD unit, but mjc:coef0 is in SI units.
     values = list(LINEAR)
     for index in range(2):
         value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
@@ -158,7 +158,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
-# The robot's MJCF gets only options that change the physics; a task's config sets the physics time step and the solver.
+# The robot's MJCF file gets only these options; a task's config sets the physics time step and the solver.
 _OPTIONS = """cone impratio density viscosity wind magnetic o_margin o_solref o_solimp o_friction
 noslip_iterations noslip_tolerance"""
 OPTIONS = {f"mjc:option:{name}": name for name in _OPTIONS.split()}
@@ -277,7 +277,7 @@ def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> des
         couplings=(*robot.couplings, *couplings),
         actuators=(*robot.actuators, *mjc.read_actuators(stage, targets)),
     )
-    # A MuJoCo actuator of a joint overrides the joint's USD drive, because the actuator contains more information.
+    # If a USD joint has a MuJoCo actuator and a USD drive, the MuJoCo actuator has priority.
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
     bodies = []
     for body in robot.bodies:

@@ -20,7 +20,7 @@ from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
-Names = Mapping[str, str]  # ``Names`` maps the path of each USD prim to the name of its MJCF element.
+Names = Mapping[str, str]  # ``Names`` maps paths of USD prims to names of MJCF elements.
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
@@ -282,7 +282,7 @@ def _points(stage: Stage, prim: Usd.Prim, sites: Names, geoms: Names) -> tuple[d
     points: list[desc.TendonPoint] = []
     current = 0
     for path, segment, side in zip(route, segments, sides, strict=True):
-        # In MJCF, a new segment of a tendon starts with a pulley that has the segment's divisor.
+        # In an MJCF file, each new segment of a tendon starts with a pulley element, which has the segment's divisor.
         if segment != current or (not points and divisors[0] != 1.0):
             points.append(desc.TendonPoint("pulley", divisor=divisors[segment]))
         current = segment
@@ -340,7 +340,7 @@ def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Key
 
 def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescription) -> desc.Keyframe | None:
     extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
-    # Each array of a MuJoCo keyframe must have the length that the robot's bodies and joints require.
+    # Count the positions, velocities, and controls of the robot, because a keyframe's arrays must have these lengths.
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls

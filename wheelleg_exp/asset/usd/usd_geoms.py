@@ -63,7 +63,7 @@ class Geoms:
         shape, path = piece.shape, piece.path
         material, rgba = self._surfaces.get(piece.path, (None, None))
         kind = "collider" if piece.collides else "visual"
-        # A geom's name consists of the body's name, the shape's name, and ``visual``; repeated names get a number.
+        # A geom's name consists of its body's name, its shape's name and, for a visual, the suffix ``_visual``.
         short = names[piece.path]
         name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
         name += "" if piece.collides else "_visual"
@@ -179,7 +179,7 @@ def read_filters(
     joined = [(first.name, second.name) for first, second in touching if first and second]
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
     pairs = {_ordered(order, a, b): None for a, b in (*joined, *bare)}
-    # An MJCF exclude of two bodies is easier to read than collision bits, so bits are used only if necessary.
+    # Prefer MJCF <exclude> elements for pairs of bodies, because they are easier to read than collision bits.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
     whole, partly = _body_pairs(solid, classes, forbidden)
@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # Shapes without collision rules use collision bit 0; shapes with equal collision rules share one of the other bits.
+    # Shapes without collision rules use collision bit 0; shapes with equal collision rules share another bit.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -198,7 +198,7 @@ def read_filters(
     out: dict[str, Extra] = {}
     for path, piece in solid.items():
         kind = classes[path]
-        # MuJoCo tests one geom's contype against the second geom's conaffinity, so clearing a bit forbids the contact.
+        # A cleared bit in ``conaffinity`` forbids contacts with geoms whose ``contype`` is only this bit.
         touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
         own = bit.get(kind, 1)
         out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
@@ -238,7 +238,7 @@ def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
-    # The shapes of each collision group. As in PhysX, a shape belongs only to the first group that contains the shape.
+    # As in PhysX, a shape that is in several collision groups belongs only to the first of these groups.
     taken: dict[str, Sdf.Path] = {}
     members: dict[Sdf.Path, set[str]] = {}
     for group in groups:
@@ -301,8 +301,8 @@ def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
         values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
         if all(value is None or value for value in values):
             continue
-        # A self-collision setting on a USD joint applies to the bodies that the joint connects.
-        # A self-collision setting on a USD prim that is not a joint applies to the bodies at or below the prim.
+        # If a USD joint disables self-collision, the setting applies to the bodies that the joint connects.
+        # If a USD prim other than a joint disables self-collision, the setting applies to all bodies below the prim.
         path = str(prim.GetPath())
         joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
         for link in joined or graph.links.below(Sdf.Path(path)):

@@ -166,7 +166,7 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
     """Return an error text if a collider lacks shapes because the prim ``holder`` lacks a layer; else an empty text."""
-    # Search ``holder`` and its parent prims, nearest first, for a collider without shapes; stop at a prim for visuals.
+    # Search the USD prim ``holder`` and its parents for a collider without shapes; stop at a prim for visuals.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

@@ -58,7 +58,7 @@ def _is_single(prim: Usd.Prim) -> bool:
 
 def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
     by_joint = body.parent is not None
-    # Round the centre of mass and the principal axes, but not the moments of inertia, which depend on each other.
+    # Do not round the moments of inertia, because the three moments must satisfy the triangle inequality.
     w, x, y, z = _shortest(body.inertial.axes, 1.0)
     return replace(
         body,
@@ -132,7 +132,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
-    # If all colliders are in one articulation without self-collision, an MJCF default class disables self-collision.
+    # If no two colliders of the robot can collide, one MJCF default class disables self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
     solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
     touching = len(quiet) != 1 or not solid <= quiet[0]
@@ -161,7 +161,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     )
     robot = with_mujoco(stage, links, robot)
     if "integrator" not in robot.option and any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
-        # MuJoCo's default integrator is unstable with stiff drives.
+        # MuJoCo's default integrator (Euler) is unstable with stiff drives.
         stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
         robot = replace(robot, option={**robot.option, "integrator": "implicitfast"})
     robot = shortened(stage, robot)

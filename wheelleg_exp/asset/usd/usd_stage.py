@@ -203,7 +203,7 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)
-        # Set USD attributes that have only time samples to their first sample, in memory; return their paths.
+        # Set USD attributes that have only time samples to their first sample, without a change of the USD file.
         sampled = []
         for layer in usd.GetUsedLayers():
             if not layer.ListAllTimeSamples():
@@ -227,7 +227,7 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
 @contextmanager
 def library(source: Path) -> Iterator[None]:
     """Hide the USD library's terminal messages, and convert USD errors and OSError to AssetError."""
-    # USD's diagnostic delegate collects the USD library's messages, which would otherwise go to stderr.
+    # The diagnostic delegate collects the messages that the USD library would otherwise print to stderr.
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
@@ -269,7 +269,7 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     for prim in walk:
         if not prim.IsPseudoRoot():
             prims.append(prim)
-        # Below a PointInstancer, USD draws the copies of a prototype, but not the prototype itself.
+        # Skip the prims below a USD PointInstancer, because they are prototypes, which USD does not draw.
         if prim.IsA(UsdGeom.PointInstancer):
             walk.PruneChildren()
         expected = "one robot: set its prim as the default prim"
@@ -282,7 +282,7 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
-    for name, options in variant_sets(root).items():  # Without a selection, USD ignores a whole variant set.
+    for name, options in variant_sets(root).items():  # USD ignores all variants of a variant set without a selection.
         holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
         if options and not holder.GetVariantSet(name).GetVariantSelection():
             hint = f"--variant {name}=NAME takes one of {', '.join(options)}"

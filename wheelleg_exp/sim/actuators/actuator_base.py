@@ -51,7 +51,7 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # ``reads_state=False``: the actuator's control depends only on joint targets, not on positions and velocities.
+    reads_state: ClassVar[bool] = True  # False: the actuator's control depends only on joint targets.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 

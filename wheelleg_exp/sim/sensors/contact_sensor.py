@@ -66,7 +66,7 @@ class ContactPairs:
     def points(self) -> torch.Tensor:
         """Return the mean contact position of each sensed body with each other body, m, (N, B, M, 3), or NaN."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # MuJoCo fills the unused contact slots with zeros.
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # MuJoCo sets unused contact slots to 0.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -348,7 +348,7 @@ class ContactSensor(SensorBase):
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        # Negate the sum, because contact normals point away from the sensed body, and a normal force >= 0 pushes the body back.
+        # Negate the sum, because contact normals point away from the sensed body, but contact forces push it back.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
         self._largest_norm = None
@@ -361,7 +361,7 @@ class ContactSensor(SensorBase):
         elapsed = elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1)
         contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
         for mode, active in (("contact", contact), ("air", ~contact)):
-            # Measure the time in contact and the time in the air; at the end of a phase, store its duration as the last time.
+            # Measure the time in contact or in the air; at the end of each contact or flight, store its duration.
             current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
             ended = ~active & (current > 0.0)
             lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)

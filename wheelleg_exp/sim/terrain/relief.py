@@ -74,7 +74,7 @@ class HeightMap:
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # Isaac Lab adds this margin to column index / columns before it chooses a terrain column's sub-terrain.
+_MARGIN = 0.001  # Isaac Lab adds this margin to index / columns before it chooses a terrain column's sub-terrain.
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # If a tile's sub-terrain does not define flat patches of some name, the tile's origin replaces each of these patches.
+    # If a tile's sub-terrain defines no flat patches of a name, the tile's origin replaces each of these patches.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():

@@ -127,7 +127,7 @@ class TerrainBase(Kept):
             self.env_origins = self.origins(num_envs, spacing, device)
             self._require_shape("origins", self.env_origins, (num_envs, 3))
             return
-        # As in Isaac Lab, N environments are spread evenly over the columns of terrain tiles, and each environment gets a random row.
+        # As in Isaac Lab, the environments are spread evenly over the terrain's columns, and get random rows.
         rows, cols, _ = self.terrain_origins.shape
         self.max_terrain_level = rows
         highest = rows - 1 if self.max_init_terrain_level is None else min(self.max_init_terrain_level, rows - 1)

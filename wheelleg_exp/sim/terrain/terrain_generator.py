@@ -74,7 +74,7 @@ def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, in
             started[run] = i
 
 
-ORIGIN_WINDOW = 0.25  # A robot starts at the largest height in the middle of its terrain tile, within a quarter of the tile's width.
+ORIGIN_WINDOW = 0.25  # A robot starts at the largest height in the central quarter of a terrain tile's width.
 _BYTES = 40  # NumPy, torch and MuJoCo together need 40 bytes per grid square of the ground.
 
 

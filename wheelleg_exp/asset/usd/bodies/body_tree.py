@@ -174,7 +174,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # Opening a loop at a different joint changes the whole spanning tree, so the tree is built again.
+    # Rebuild the spanning tree after each choice of a better joint for opening a kinematic loop.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
@@ -294,7 +294,7 @@ class _Builder:
             relative, floating = link.frame, self.base != "fixed" and not link.kinematic
         else:
             side = joint.side(link)
-            # If the coordinates of a USD joint are zero, the joint's frames in its two bodies coincide.
+            # At the zero position of a USD joint, the joint frames of its two bodies coincide.
             relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
         above = self._placed[parent.path] if parent else Frame.identity()

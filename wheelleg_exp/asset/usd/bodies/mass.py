@@ -71,7 +71,7 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     carrier = group[0][0].carrier
     assert carrier is not None
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
-    # All shapes of one collider prim share one MassAPI, so the converter sums their masses.
+    # Sum the masses of a collider prim's shapes, because they share the prim's USD MassAPI.
     center = combined_center(parts)
     whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
     if carrier.GetPath() == link.prim.GetPath():

@@ -146,7 +146,7 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
     left = {link.path: link for link in part}
     around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
     degree = {path: len(others) for path, others in around.items()}
-    # Repeated removal of all leaves reduces a tree to its centre. A body in a loop is never a leaf.
+    # Removing all leaves of a tree again and again leaves the tree's centre; a body in a loop is never a leaf.
     leaves = [path for path, count in degree.items() if count <= 1]
     while leaves and len(left) > 2:
         fresh = []

@@ -40,7 +40,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
         rule = "the joint names the child as body0: the axis is negated"
         stage.ledger.assume(joint.path, rule, node.link.name)
     found = []
-    # The motion of body0 relative to body1 has the joint's axes in reverse order and with negated directions.
+    # If body0 is the child of a USD joint, the joint's axes have the reverse order and negated directions.
     for axis in reversed(joint.axes) if node.reversed else joint.axes:
         direction = sign * (frame.rotation @ np.array(axis.axis))
         name = joint.name + (axis.suffix if len(joint.axes) > 1 else "")

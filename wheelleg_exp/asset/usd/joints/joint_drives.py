@@ -92,7 +92,7 @@ def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range
 
 Found = tuple[str, float | None]  # name and SI value
 
-# The USD attributes of each joint quantity, by priority: MuJoCo, Newton, PhysxJointAxisAPI, PhysxJointAPI (old).
+# Each tuple lists the USD attributes of one joint quantity, from the highest to the lowest priority.
 _ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
 _FRICTION = (
     *("mjc:frictionloss", "newton:friction"),
@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# PhysX uses the following values for attributes of PhysxJointAxisAPI that the USD file does not set.
+# These are PhysX's default values for attributes of the USD schema PhysxJointAxisAPI.
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
@@ -140,7 +140,7 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
-        # Only PhysxJointAxisAPI has a value per joint axis; a value of any other USD schema applies to the whole joint.
+        # The USD schema PhysxJointAxisAPI has a value for each joint axis; all other schemas have one per joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:

@@ -142,6 +142,6 @@ def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, 
         rotation = (1.0, 0.0, 0.0, 0.0)
     matrix = stage.matrix(target)
     inside = link.frame.inverse() if link else Frame.identity()
-    # A scale of the joint's body also applies to the joint's position ``physics:localPos`` in the body.
+    # A scaled USD body also scales the position ``physics:localPos`` of its joint.
     origin = apply(matrix, np.array([position]))[0]
     return inside @ Frame(rigid_part(matrix).rotation @ rotation_matrix(rotation), origin)
