@@ -9,6 +9,7 @@ import pytest
 
 from verify import synthetic
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.recording.reading import recording_contents
 from wheelleg_exp.run.file_inventory import inventory
 
 DAMAGES = {
@@ -109,6 +110,15 @@ def test_a_manifest_that_was_changed_is_never_identical(pair):
     status, out, _ = wheelleg("verify", pair[0].path, pair[1].path)
     assert status == 1
     assert "different: damaged: B: manifest.json was changed after it was written" in out
+
+
+def test_a_changed_recording_is_not_decoded_in_this_process(pair, monkeypatch):
+    decoded, stores = [], recording_contents._stores
+    monkeypatch.setattr(recording_contents, "_stores", lambda path: decoded.append(path) or stores(path))
+    synthetic.flip(pair[0].recording)
+    assert wheelleg("verify", pair[0].path)[0] == 1
+    assert decoded
+    assert pair[0].recording not in decoded
 
 
 @pytest.mark.parametrize("name", ["recording.rrd", "exported/policy.onnx", "iterations.jsonl", "asset/robot.xml"])

@@ -207,7 +207,9 @@ def recording(subject: Subject) -> Check:
         return Check("recording", "", skipped="the run has no recording")
     from wheelleg_exp.recording.reading.recording_contents import Contents
 
-    contents = Contents(path)
+    record = subject.manifest.recorded_files().get(path.name)
+    is_recorded = record is not None and record["sha256"] == sha256(path)
+    contents = Contents(path, is_changed=record is not None and not is_recorded)
     health = contents.health
     lines = health.lines()[1:]
     text = f"{len(contents.pieces)} entities in {health.messages} messages, {health.size / 1e6:.1f} MB"
@@ -216,8 +218,7 @@ def recording(subject: Subject) -> Check:
     if not subject.has_ended or health.is_closed:
         return Check("recording", text, notes=lines)
     # A recording without an index is complete if its hash equals the recording's hash in the manifest.
-    record = subject.manifest.recorded_files().get(path.name)
-    if record is None or record["sha256"] != sha256(path):
+    if not is_recorded:
         return Check("recording", text, lines)
     why = subject.data.get("recording_unfinished")
     note = "it is complete but has no index, so it opens slowly" + (f" ({why})" if why else "")

@@ -83,16 +83,17 @@ class Contents:
     """The rows of a recording. ``pieces`` maps each rerun entity to its rows.
 
     ``Contents`` reads a recording's complete messages, and raises RunDirectoryError if the file is missing or not a
-    recording, or if ``recording_id`` does not select one of several recordings in the file.
+    recording, or if ``recording_id`` does not select one of several recordings in the file. With ``is_changed``, rerun
+    reads the file in a child process first, because a changed message can terminate the process that decodes it.
     """
 
-    def __init__(self, path: Path, recording_id: str | None = None) -> None:
+    def __init__(self, path: Path, recording_id: str | None = None, *, is_changed: bool = False) -> None:
         self._path = path
         file = _opened(path)
         messages = list(file.messages())
         last = messages[-1] if messages else None
         readable, is_closed = HEADER_SIZE if last is None else last.end, file.is_closed(last)
-        stores, unreadable = (_stores(path) if is_closed else None if messages else {}), 0
+        stores, unreadable = (_stores(path) if is_closed and not is_changed else None if messages else {}), 0
         if stores is None:
             with closed_copy(path) as (closed, unreadable):
                 stores = _stores(closed)
