@@ -56,7 +56,7 @@ def test_json_is_one_document(file, capsys):
     ("words", "said"),
     [
         (["nowhere.urdf"], "there is no file 'nowhere.urdf'"),
-        (["nowhere.xml"], "there is no such robot file"),
+        (["nowhere.xml"], "the robot file does not exist"),
         (["task=nothing"], "nothing"),
         (["task=stand", "--screenshot", "picture.jpg"], "ends with .png"),
         ([], "missing"),

@@ -22,22 +22,22 @@ class Wheel:
     """A wheel that can carry the robot's weight."""
 
     joint: str  # the name of the hinge on which the wheel turns
-    body: str  # the link that the wheel's hinge moves; ``bodies`` are this link and all links fixed to it
+    body: str  # the name of the wheel's link; ``bodies`` also has the links that are fixed to the wheel
     bodies: tuple[str, ...]
     axis: Vec3
-    centre: Vec3  # the centre of the wheel's collider, on the ``axis`` (a unit vector) of the hinge, m
-    radius: float  # the largest extent of the wheel's colliders across its axis, m; ``width`` is along the axis
+    centre: Vec3  # the centre of the wheel's colliders in the base frame, m; ``axis`` is the wheel axle's unit vector
+    radius: float  # the wheel's radius, m; ``width`` is the wheel's width along its axle, m
     width: float
-    roundness: float  # the wheel's smallest extent across its axis, divided by the largest; 1 for a body of revolution
+    roundness: float  # the wheel's smallest radius divided by its largest radius; 1 for a perfect circle
     contact: Vec3  # the point at which the wheel touches level ground, m
-    side: Side  # the side of the robot's middle on which the wheel is, seen along the robot's forward axis
-    sign: int  # +1 if a positive wheel speed moves the robot forwards, -1 if backwards, 0 if in another direction
+    side: Side  # the side of the robot (left, right, or middle) on which the wheel is
+    sign: int  # A positive speed of the wheel's joint drives forwards (+1), backwards (-1), or sideways (0).
     driven: bool  # whether a motor drives the wheel; false for a caster
-    stands: bool  # whether the wheel is as low as the lowest wheel and carries the robot on level ground
-    steered: bool  # whether an unlimited vertical hinge steers the wheel, as in a swerve drive
-    # whether a wheel is a caster behind a passive steering axis; false if all of the robot's wheels are casters
+    stands: bool  # whether the wheel touches level ground on which the robot stands
+    steered: bool  # whether a vertical hinge without limits steers the wheel, as in a swerve drive
+    # ``caster`` is true if the wheel trails a steering axis without motor; false if this holds for all wheels.
     caster: bool
-    why: str  # the reason, with numbers, why the link counts as a wheel
+    why: str  # a text for the user: the reason why the link counts as a wheel
 
 
 @dataclass(frozen=True)
@@ -79,19 +79,19 @@ class Anatomy:
     size: float  # the longest edge of the robot's bounding box along the base's axes, m
     wheels: tuple[Wheel, ...]  # the robot's wheels, in the order of the model
     legs: tuple[Leg, ...]  # one for each wheel
-    others: tuple[str, ...]  # joints that belong to no wheel and no wheeled leg, such as those of an arm
-    # the horizontal rolling direction of all wheels except casters; None for a robot without parallel axles
+    others: tuple[str, ...]  # the names of joints outside of legs and wheels, such as the joints of an arm
+    # ``forward`` is the horizontal unit vector in which the wheels roll; None for a robot without parallel axles.
     forward: Vec3 | None
-    left: Vec3 | None  # the horizontal direction to the left of ``forward``
+    left: Vec3 | None  # the horizontal unit vector to the left of the robot's forward direction
     up: Vec3  # against gravity
     middle: Vec3  # a point of the mirror plane between the left and right sides, m
     mirrored: tuple[MirroredPair, ...]  # the pairs of joints that are mirror images, with the left joint first
     unmatched: tuple[str, ...]  # the joints that have no mirror image
-    # the height of the wheels' contacts over the base's origin, m, usually negative; None for a robot without wheels
+    # ``support_height`` is the height of the wheel contacts above the base frame's origin, m, so usually negative.
     support_height: float | None
-    support_width: float  # the distance between the outermost wheel contacts, across ``forward``, m
-    support_length: float  # the distance between the outermost wheel contacts along ``forward``, m; about 0 on one axle
-    near: dict[str, str]  # ``near`` maps a joint that lacks only one property of a wheel to a text about this property.
+    support_width: float  # the largest distance between two wheel contacts along the robot's left axis, m
+    support_length: float  # the largest distance between two wheel contacts along the forward axis, m
+    near: dict[str, str]  # ``near`` maps a joint that lacks one property of a wheel's joint to the missing property.
 
     @property
     def wheel_joints(self) -> list[str]:

@@ -61,7 +61,7 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # The function _extent computes the extents of meshes.
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # ``_extent`` computes the reach of a mesh.
 }
 
 
@@ -90,7 +90,7 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # MuJoCo also filters contacts by the collision bits of bodies, which must match the collision bits of geoms.
+    # Set the collision bits of all bodies, too, because MuJoCo first filters contacts by these bits.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     pairs = sorted(_depths(free, qpos, bodies).items(), key=lambda item: -item[1])

@@ -23,8 +23,8 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # A default position outside the limits is moved inside by a quarter of the joint's range.
-_OFF = 0.02  # The smallest distance of a default position from the joint's limits, as a share of the joint's range.
+_INSIDE = 0.25  # A default joint position outside the limits moves inside by 25 % of the joint's range.
+_OFF = 0.02  # A default joint position is at least 2 % of the joint's range away from the joint's limits.
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Joint:
     low: float
     high: float
     armature: float  # reflected rotor inertia, kg·m²
-    inertia: float  # the inertia about the joint's axis of the links that the joint moves, kg·m², without armature
-    effective: float  # the inertia, with armature, that the joint's torque accelerates while all other joints are free
+    inertia: float  # inertia of all links behind the joint about the joint's axis, kg·m², without armature
+    effective: float  # the effective inertia at the joint while all other joints are free, kg·m², with armature
     hold: float  # the joint torque that carries the robot's weight at rest, N·m
     drive: Drive | None  # its actuator, or None
 
@@ -87,14 +87,14 @@ class RobotFacts:
     mass: float
     gravity: float
     joints: dict[str, Joint]
-    wheels: tuple[str, ...]  # the names of the wheel joints; ``wheel_radius``, m, is 0 for a robot without wheels
+    wheels: tuple[str, ...]  # the names of the wheels' joints; ``wheel_radius`` (m) is 0 for a robot without wheels
     wheel_radius: float
     track: float  # the distance between the leftmost and the rightmost wheel, m
-    # the height of the root link over the ground if the robot touches the ground in its default pose, m
+    # ``standing_height`` is the root link's height above the ground, m, if the robot stands in its default pose.
     standing_height: float
-    clearance: float  # the height of the robot's lowest point in the start pose, m; negative below the ground
+    clearance: float  # the height of the robot's lowest point above the ground at the start of an episode, m
     friction: float  # the effective friction coefficient between wheels and ground
-    balance: Balance | None  # an inverted pendulum that falls like the robot; None for a robot without exactly one axle
+    balance: Balance | None  # the robot's inverted pendulum; None for a robot that does not have exactly one axle
 
     @property
     def weight(self) -> float:
@@ -160,10 +160,10 @@ def _joints(
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     inverse = np.linalg.inv(matrix)
-    # Compute the joint torques (nv,) with which the robot rests in its default pose, with equal loads on its wheels.
+    # ``hold`` has the joint torques (nv,) that hold the default pose, if all wheels carry equal shares of the weight.
     hold = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
-    # The ground pushes each wheel up at its lowest point; the z row of that point's Jacobian gives the joint torques.
+    # The z row of the Jacobian of a wheel's lowest point converts the ground's vertical force to joint torques.
     for bodies in wheels:
         point = data.xpos[bodies[0]].copy()
         point[2] = lowest_point(model, data, bodies)
@@ -175,7 +175,7 @@ def _joints(
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            # Rounding a value to seven digits removes the rounding errors of float32.
+            # Round gains and limits to seven digits, because their type float32 is no more accurate.
             kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     joints = {}
@@ -210,7 +210,7 @@ def _balance(
         for body in wheel_bodies
     )
     drop = mass * gravity * height
-    # The falling robot rolls on its wheels, so the inertia about the ground contact includes the wheels.
+    # If a robot falls, its wheels roll, so the inertia about the ground contact includes the wheels.
     about_ground = inertia + 2 * mass * radius * height + mass * radius**2 + rolling
     return Balance(mass, height, inertia, math.sqrt(drop / about_ground), math.sqrt(drop / inertia))
 

@@ -12,16 +12,16 @@ import numpy as np
 from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 
-TURNS = 3 * math.pi  # The range, rad, above which the hinge of a wheel counts as unlimited.
-LEVEL = 0.5  # The largest vertical component of the unit vector along a horizontal axle.
+TURNS = 3 * math.pi  # A wheel's hinge with a range above 3 pi rad counts as unlimited.
+LEVEL = 0.5  # An axle counts as horizontal if the vertical component of its unit vector is below 0.5.
 _ROUND = 0.9  # A body counts as round if its smallest radius is at least 90 % of its largest radius.
-_ROUGH = 0.6  # A body never counts as round if its smallest radius is below 60 % of its largest radius.
-_LOW = 0.4  # The largest height of a wheel's lowest point, as a share of the robot's height.
-_OFF_AXIS = 0.05  # The largest distance of a wheel's round outline from its hinge, as a share of the wheel's radius.
+_ROUGH = 0.6  # A body with a smallest radius below 60 % of its largest radius is never a wheel.
+_LOW = 0.4  # A wheel's lowest point must be in the lowest 40 % of the robot's height.
+_OFF_AXIS = 0.05  # The centre of a wheel's outline is at most 5 % of the wheel's radius away from the hinge axis.
 _SMALLEST = 1e-3  # m, radius
-_EQUAL = 0.1  # The largest relative difference between two moments of inertia that count as equal.
-_CENTRED = 0.1  # The largest distance of a wheel's centre of mass from the axle, as a share of the wheel's radius.
-_HALF_TURN = math.pi  # A round body on a limited hinge is a possible wheel if the hinge's range is at least pi rad.
+_EQUAL = 0.1  # Two moments of inertia count as equal if they differ by at most 10 %.
+_CENTRED = 0.1  # A wheel's centre of mass is at most 10 % of the wheel's radius away from the axle.
+_HALF_TURN = math.pi  # A round body on a hinge with limits can be a wheel only if the hinge turns by at least pi rad.
 _AROUND = 48
 
 
@@ -51,9 +51,9 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     found, near = [], {}
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
-    highest = -down + _LOW * (top + down)  # A wheel's lowest point must be in the lowest 40 % of the robot's height.
+    highest = -down + _LOW * (top + down)  # A wheel's lowest point is not above ``highest``, m.
     for joint in tree.joints:
-        # A wheel's joint is a horizontal hinge, the only joint of its body, and the last joint of its limb.
+        # A wheel's joint is a horizontal hinge, and no other joint moves the same body or a body behind it.
         body = int(tree.model.jnt_bodyid[joint])
         last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
         if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
@@ -90,14 +90,14 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
     circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
-    # Measure the extent of a wheel's shape along the hinge's axis and in all directions perpendicular to the axis.
+    # Measure how far the wheel's colliders reach from the hinge, along the axle and perpendicular to the axle.
     outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
     there, back = outline[-2], outline[-1]
     outline = outline[:-2]
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
-    # ``off_axis`` is the distance, m, from the hinge axis of a wheel to the centre of the wheel's round outline.
-    # The support function of an off-centre circle is its radius plus a cosine of the direction (the first harmonic).
+    # ``off_axis`` is the distance of the centre of a wheel's round outline from the wheel's hinge axis, m.
+    # A circle off the axis reaches as far as its radius plus a cosine of the direction, the first harmonic.
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     off_axis = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -132,7 +132,7 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows of ``cross`` are unit vectors perpendicular to the axle.
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows of ``cross`` are perpendicular to the axle.
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
@@ -155,7 +155,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
-    # The equality constraints between two bodies of the robot, as tuples of a name and two bodies.
+    # ``found`` lists the MuJoCo equality constraints between two bodies of the robot: a name and two body indices.
     model, found = tree.model, []
     for index in range(model.neq):
         if int(model.eq_type[index]) not in _HOLDS:
@@ -166,7 +166,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     closures = found
-    # ``limbs`` maps each body that is not fixed to the base to the set of all bodies of the same limb.
+    # ``limbs`` maps each body index, except bodies that are fixed to the base, to all body indices of the same limb.
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -186,9 +186,9 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     return legs
 
 
-_APART = 0.15  # The largest distance of a joint from the mirror image of its partner, as a share of the robot's size.
+_APART = 0.15  # A joint of a mirrored pair is at most 15 % of the robot's size away from its partner's mirror image.
 _TILTED = math.radians(30)
-_MIDDLE = 0.01  # The largest distance of a left joint to the right of the mirror plane, as a share of the robot's size.
+_MIDDLE = 0.01  # A left joint is at most 1 % of the robot's size on the right of the mirror plane.
 
 
 def find_mirrored(
@@ -210,9 +210,9 @@ def find_mirrored(
         for other in joints:
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
-                # ``tilt`` is the angle, rad, between the mirrored axis of one joint and the axis of a second joint.
-                # ``sign`` is -1 if a positive motion of one joint mirrors a negative motion of the other joint, else 1.
-                # A mirror matrix M maps a rotation by q about the axis a to a rotation by q about the axis -M a.
+                # ``tilt`` is the angle between the first joint's mirrored axis and the second joint's axis, rad.
+                # ``sign`` is -1 if a positive motion of one joint mirrors a negative motion of the second joint.
+                # A mirror matrix M turns a rotation about the axis a into an equal rotation about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1
@@ -221,7 +221,7 @@ def find_mirrored(
         if options:
             _, other, offset, tilt, sign = min(options)
             images[joint] = other, offset, tilt, sign
-    # Accept a pair of joints only if each joint is the best match of the other, so that no joint has two partners.
+    # Two joints are a mirrored pair only if each joint is the best match of the other.
     pairs, matched = [], set()
     for joint, (other, offset, tilt, sign) in images.items():
         if joint in matched or images.get(other, (None,))[0] != joint:

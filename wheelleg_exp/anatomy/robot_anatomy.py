@@ -14,13 +14,13 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Sid
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
-_PARALLEL = 0.9  # The smallest share of parallel axles for which a robot has a forward direction.
-# The sign of a wheel is 1 (rolls forwards), -1 (backwards), or 0 if it rolls more than 60° off both directions.
+_PARALLEL = 0.9  # A robot has a forward direction if at least about 90 % of its axles are parallel.
+# A wheel that rolls more than 60° away from the forward and backward directions gets the sign 0.
 _ROLLS = 0.5
-_IN_THE_MIDDLE = 0.05  # The largest distance of a middle wheel from the robot's middle, as a share of the track width.
-_LEVEL_WITH = 0.03  # The largest height of a supporting wheel above the lowest wheel, as a share of the robot's size.
-_AHEAD = 0.3  # The forward direction has x > 0 in the base frame or, if |x| is below 0.3, a positive y or z.
-_TRAILS = 0.1  # The smallest distance of a caster's contact from its steering axis, as a share of the wheel radius.
+_IN_THE_MIDDLE = 0.05  # A middle wheel is at most 5 % of the track width away from the robot's middle.
+_LEVEL_WITH = 0.03  # A wheel that carries weight is at most 3 % of the robot's size higher than the lowest wheel.
+_AHEAD = 0.3  # If |x| of the forward direction (x, y, z) is below 0.3, y or z determines the sign instead of x.
+_TRAILS = 0.1  # A caster's ground contact is at least 10 % of the wheel radius away from the steering axis.
 
 
 def anatomy_of(
@@ -84,12 +84,12 @@ class _Axles:
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    # A wheel behind a passive steering hinge counts as a caster, unless all wheels are behind passive steering hinges.
+    # A wheel that trails a steering hinge without motor is a caster, unless this holds for all wheels of the robot.
     trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
     casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
-    # The longest edge, along the base's axes, of the bounding box of the robot's colliders and joints, m.
+    # ``size`` is the longest edge of the bounding box of the robot's colliders and joints in the base frame, m.
     origin, edges = tree.data.xpos[tree.base], tree.to_base
     solid = colliders(tree.model, tree.bodies)
     anchors = [tree.to_base @ (tree.data.xanchor[joint] - origin) for joint in tree.joints]
@@ -153,7 +153,7 @@ def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
-    # The main eigenvector of the sum of the axles' outer products is the common axis for any signs of the axles.
+    # The main eigenvector of the sum of outer products axis axisᵀ does not depend on the signs of the wheels' axes.
     sizes, directions = np.linalg.eigh(sum(np.outer(axis, axis) for axis in level) / len(level))
     if sizes[-1] < _PARALLEL * sizes.sum():
         return None
@@ -190,7 +190,7 @@ def _mirrored(
     Return a point of the mirror plane in world coordinates, m, (3,), the mirrored pairs, and the unmatched joints.
     """
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
-    # The mirror plane contains the base's origin or the middle between the wheels, whichever matches more joints.
+    # Try two mirror planes, through the base's origin and midway between the wheels, and use the one with more pairs.
     middles = [origin]
     if wheels:
         places = [float(wheel.centre @ normal) for wheel in wheels]

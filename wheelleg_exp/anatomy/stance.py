@@ -18,17 +18,17 @@ from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limi
 
 Array = NDArray[np.float64]
 
-_STARTS = 10  # The number of random poses from which the search for a standing pose starts, besides the given pose.
+_STARTS = 10  # The search for a standing pose starts from the given pose and from ten random poses.
 _STEPS = 40  # iterations from each start
-_MARGIN = 0.08  # The smallest distance of a joint from its limits in a standing pose, as a share of the joint's range.
-# The hip heights above which legs are stretched and below which legs are crouched, as shares of the largest height.
+_MARGIN = 0.08  # In a standing pose, each joint is at least 8 % of its range away from its limits.
+# Legs count as stretched above 93 % of the largest hip height, and as crouched below 35 % of this height.
 _STRETCHED, _CROUCHED = 0.93, 0.35
-# Stretched legs are moved to 80 % of the largest hip height, and crouched legs to 55 % of the largest hip height.
+# Stretched legs are moved to 80 % of the largest hip height, and crouched legs to 55 % of this height.
 _STANDS = (0.8, 0.55)
-_CLEARANCE = 0.5  # In a standing pose, only wheels should be less than half a wheel radius above the ground.
-_REACH = math.pi  # The largest rotation, rad, of an unlimited joint in the search for a standing pose.
-_BALANCED = 5e-3  # The largest distance of a balanced centre of mass from the axle, as a share of the robot's size.
-_TOUCHES = 2e-3  # A wheel touches the ground if it is at most 0.2 % of the robot's size above the lowest wheel.
+_CLEARANCE = 0.5  # All bodies except wheels should be at least half a wheel radius above the ground.
+_REACH = math.pi  # The search for a standing pose rotates a joint without limits by at most pi rad.
+_BALANCED = 5e-3  # A robot is balanced if its centre of mass is within 0.5 % of the robot's size of the axle.
+_TOUCHES = 2e-3  # A wheel touches the ground if it is at most 0.2 % of the robot's size higher than the lowest wheel.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
@@ -36,14 +36,14 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 class Stance:
     """A standing pose of a robot, and its properties."""
 
-    positions: dict[str, float]  # the positions of the leg joints by name, rad (m)
-    height: float  # the height of the hips over the wheels' centres, m; ``tallest`` is the largest such height
-    offset: float  # the distance of the centre of mass in front of the middle of the wheel contacts, m
-    # the base pitch, rad (positive: front down), that would balance the robot; 0 for a robot with several axles
+    positions: dict[str, float]  # the leg joints' positions by name, rad (m for slide joints)
+    height: float  # the mean height of the hips above the wheels, m; ``tallest`` is its largest possible value, m
+    offset: float  # the distance by which the centre of mass is in front of the middle of the wheel contacts, m
+    # ``lean`` is the base's pitch that would balance the robot, rad (positive: front down); 0 with several axles.
     lean: float
     tallest: float
-    balanced: bool  # whether the centre of mass is almost over the middle of the wheel contacts
-    grounded: bool  # whether every wheel that should carry weight touches level ground
+    balanced: bool  # whether the centre of mass is above the middle of the wheel contacts
+    grounded: bool  # whether all wheels that should carry the robot touch level ground
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
@@ -92,7 +92,7 @@ class _Problem:
         rotation = self.data.xmat[self.base].reshape(3, 3)
         self.forward, self.up = (rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.up))
         self.wheels = [model.body(wheel.body).id for wheel in anatomy.standing]
-        # the centres of the wheels in the frames of the wheels' bodies, m
+        # ``centres`` has the wheels' centres in the frames of the wheels' bodies, m.
         self.centres = [
             self.data.xmat[body].reshape(3, 3).T
             @ (self.data.xpos[self.base] + rotation @ np.array(wheel.centre) - self.data.xpos[body])
@@ -105,11 +105,11 @@ class _Problem:
         self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
-        # The pairs of moving joints that are mirror images, each as two joint indices and a sign.
+        # ``pairs`` lists the mirrored pairs of leg joints, each as two joint indices and a sign.
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
         self.pairs = [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
-        # A standing pose can have the same overlaps of bodies as the initial pose, but no deeper overlaps.
+        # In the standing pose, bodies may overlap as deeply as in the initial pose, but not more deeply.
         self.rest = overlap_depths(model, self.data, self.bodies)
         self.tallest = self.wanted = 0.0
 
@@ -141,7 +141,7 @@ class _Problem:
         self.at(self.preferred)
         now = self._height()
         heights = []
-        # The largest height among random poses approximates the height of stretched legs, for any type of leg.
+        # The largest hip height in 400 random poses approximates the hip height of stretched legs, for any type of leg.
         for pose in self.random_poses(400):
             self.data.qpos[self.places] = pose
             mujoco.mj_kinematics(self.model, self.data)
@@ -173,15 +173,15 @@ class _Problem:
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
-        low = -lowest_point(self.model, data, self.raised)  # In a compiled scene, the world's z axis points upwards.
+        low = -lowest_point(self.model, data, self.raised)  # ``lowest_point`` measures along the world's z axis.
         low = ground + low if math.isfinite(low) else -math.inf
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
-        # Errors of closed kinematic loops get the largest weight, and deviations from the initial pose the smallest.
-        # Balance errors get the weight 200 on one wheel axle, and 20 on several axles, on which the robot cannot fall.
+        # Errors of kinematic loops get the largest weight, 1000, and changes of the initial pose the smallest, 0.5.
+        # Balance errors get the weight 20 instead of 200 if the robot cannot fall, because it has several axles.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
-        # The distance by which the left wheels are in front of the right wheels, m.
+        # ``askew`` is the distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
         errors = [
             (200.0 if self.one_axle else 20.0) * self.offset() / self.size,

@@ -172,7 +172,7 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
     """Rename a converted robot's folder to the path of its cache entry, unless another process has made the entry."""
     for attempt in range(_ATTEMPTS):
         try:
-            # Renaming the folder is atomic; the call fails if another process has already created the same cache entry.
+            # Renaming the draft folder is atomic, and fails if another process has already created the cache entry.
             draft.rename(entry)
             return
         except OSError:

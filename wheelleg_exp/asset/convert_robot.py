@@ -62,7 +62,7 @@ def convert(
         robot, report = read(source, base, variants or {})
         for name in report.layers:
             if (source.resolve().parent / name).resolve().is_relative_to(mesh_folder(output).resolve()):
-                raise AssetError(f"new mesh files would replace the input '{name}'", key="-o", expected="another name")
+                raise AssetError(f"mesh files would overwrite the input '{name}'", key="-o", expected="another name")
         robot = with_force_gains(robot)
         model = write(robot, report, output)
         sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(robot, model)]
@@ -194,7 +194,7 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
             new.replace(target)
         draft.replace(output)
     except BaseException:
-        # If the old MJCF file is still in place, move the folder with its meshes back to its place, too.
+        # If the old MJCF file was not replaced, move the folder with the old file's meshes back to its place.
         if draft.exists() and old.exists():
             if target.exists():
                 target.replace(new)

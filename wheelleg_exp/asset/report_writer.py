@@ -27,7 +27,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
         return
-    # Collect groups of welded bodies; each group moves with the joint of its first body, ``top``.
+    # Collect groups of welded bodies; ``top`` maps each body to the first body of the body's group.
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()

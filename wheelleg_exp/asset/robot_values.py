@@ -35,7 +35,7 @@ def _body(body: Body) -> dict[str, Any]:
         **_fields(body.pose, "position rotation"),
         "mass": inertial.mass,
         "center_of_mass": list(inertial.center_of_mass),
-        "inertia": [float(tensor[place]) for place in order],  # The elements are xx, yy, zz, xy, xz, yz.
+        "inertia": [float(tensor[place]) for place in order],  # The inertia tensor's order is xx, yy, zz, xy, xz, yz.
     }
 
 

@@ -89,7 +89,7 @@ def _file_case(
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
     lowest = lowest_point(model, robots.at_default(model, scene.robot), bodies)
-    # Put the robot on the ground, because a robot file contains no start height.
+    # Set the robot's lowest point on the ground, because a robot file contains no start height.
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
     driven = conversion.description.driven if conversion else list(drives)
@@ -117,7 +117,7 @@ def _limit(value: float | None) -> float:
 
 def _model(source: Path) -> mujoco.MjModel:
     if not source.is_file():
-        raise AssetError("there is no such robot file", where=str(source))
+        raise AssetError("the robot file does not exist", where=str(source))
     try:
         return mujoco.MjModel.from_xml_path(str(source))
     except ValueError as error:
@@ -168,13 +168,13 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
     if model.actuator_forcelimited[index]:
         limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
     bias = model.actuator_biasprm[index]
-    if model.actuator_ctrllimited[index] and not bias.any():  # The control input of a MuJoCo motor is a torque.
+    if model.actuator_ctrllimited[index] and not bias.any():  # The control of a MuJoCo motor (no bias) is a torque.
         gain = gear * float(model.actuator_gainprm[index, 0])
         limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# The lint rules, most urgent first: findings of a rule are unreliable until the findings of earlier rules are fixed.
+# The most urgent lint rules are first, because their findings can make findings of later rules wrong.
 OF_ROBOT = (
     "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
     "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",

@@ -14,7 +14,7 @@ from wheelleg_exp.config.checking.check_robot_names import converted
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import PHYSICS_RULES
 
-# The import of the modules ``rules_*`` registers the lint rules.
+# Importing the modules ``rules_*`` registers the lint rules.
 from wheelleg_exp.lint import rules_drives, rules_episode, rules_interface, rules_learning, rules_links, rules_shape  # noqa: F401
 from wheelleg_exp.lint.reward_tolerances import Contribution, contributions, earned_per_second
 from wheelleg_exp.lint.rule import RULES as _RULES
@@ -87,7 +87,7 @@ def examine(composed: Composed) -> PhysicsReport:
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
     """Return the robot of a config, compiled as in a training, and the measured facts about the robot."""
     env = composed.config["env"]
-    # ``check --physics`` measures the compiled model and simulates no steps.
+    # `wheelleg check --physics` simulates no steps, so MuJoCo on the CPU is enough for any config.
     env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene

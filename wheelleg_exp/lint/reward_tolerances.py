@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # The acceptable error in a reward term, as a share of the robot's height, speed, effort, or command.
-ACTION = 0.5  # The change of a raw action that counts as acceptable in a reward term.
+SHARE = 0.1  # A reward term's tolerance is 10 % of the robot's height, speed, or effort limit, or of the command.
+ACTION = 0.5  # The tolerance of a reward term for changes of the policy's raw actions is 0.5.
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -150,7 +150,7 @@ def _travel(case: Case, term: TermView) -> tuple[str, float]:
     return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 
-# reward terms whose value is exp(-error² / std²)
+# ``_KERNELS`` maps reward terms with the value exp(-error² / std²) to functions that compute their tolerances.
 _KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.base_height_exp": _height,
     "rewards.flat_orientation_exp": _tilt,

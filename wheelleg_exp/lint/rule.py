@@ -141,7 +141,7 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A lint rule with a second parameter, the compiled robot, is skipped if ``Case.robot`` is None.
+# A lint rule takes a ``Case`` and, optionally, the compiled robot; without a compiled robot, the rule is skipped.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 
@@ -170,7 +170,7 @@ def rule(function: RuleFunction) -> RuleFunction:
     name = function.__name__
     if name not in PHYSICS_RULES:
         raise ValueError(f"the lint rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
-    text = inspect.getdoc(function) or name.replace("_", " ")  # Python with -OO removes all docstrings.
+    text = inspect.getdoc(function) or name.replace("_", " ")  # Python's option -OO removes docstrings.
     takes_robot = len(inspect.signature(function).parameters) == 2
     RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function, takes_robot)
     return function
@@ -206,7 +206,7 @@ def below(value: float, digits: int = DIGITS) -> float:
 
 
 def _rounded(value: float, digits: int, rounding: str) -> Decimal:
-    exact = Decimal(repr(float(value)))  # Decimal(0.03) would not equal 0.03 exactly, but Decimal(repr(0.03)) does.
+    exact = Decimal(repr(float(value)))  # Unlike Decimal(0.03), Decimal(repr(0.03)) is exactly 0.03.
     return exact.quantize(_last_place(value, digits), rounding=rounding) if exact.is_finite() else exact
 
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
-_ARMATURE = 10.0  # The largest plausible ratio of a joint's armature to the inertia of the joint's load.
-_TRACTION = 10.0  # The largest plausible ratio of a wheel's effort limit to the torque at which the wheel slips.
-_PUSH = 0.1  # The smallest accepted driving force of the wheels, as a share of the robot's weight.
-_RESERVE = 1.5  # The smallest accepted ratio of a drive's effort limit to the torque that holds the default pose.
-_SAG = 0.1  # The largest accepted position error of a leg joint that carries the robot's weight, rad.
-_SAMPLES = 5.0  # The smallest accepted number of control steps in the time constant of a robot's fall.
+_ARMATURE = 10.0  # An armature above ten times the inertia of the links that the joint moves is implausible.
+_TRACTION = 10.0  # A wheel's effort limit above ten times the torque at which the wheel slips is implausible.
+_PUSH = 0.1  # The wheels must be able to push the robot with at least 10 % of its weight.
+_RESERVE = 1.5  # A drive's effort limit must be at least 1.5 times the torque that holds the default pose.
+_SAG = 0.1  # The robot's weight may cause a position error of at most 0.1 rad at a leg joint.
+_SAMPLES = 5.0  # The time constant of the robot's fall must be at least five control steps.
 _IMPLICIT = ("implicit", "implicitfast")
 
 
@@ -155,7 +155,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        # The difference between each joint's target at an action of 0 and its default position, rad.
+        # ``shifts`` has each joint's target at an action of 0 minus the joint's default position, rad.
         shifts: dict[str, float] = {}
         for term in case.terms("actions", "actions.JointPositionAction"):
             if not term.node.get("use_default_offset", True):
@@ -196,7 +196,7 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
         name, joint, drive, _ = _worst(joints, lambda j, d: (d.damping * dt + d.stiffness * dt**2) / j.effective)
         a, b = drive.damping * dt / joint.effective, drive.stiffness * dt**2 / joint.effective
         explicit = drive.explicit or integrator not in _IMPLICIT
-        if math.isnan(b):  # An actuator network has no gains.
+        if math.isnan(b):  # The gains of an actuator network are NaN.
             continue
         if (a < 2.0 and b < 4.0 - 2.0 * a) if explicit else b < 4.0 + 2.0 * a:
             continue

@@ -20,7 +20,7 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-# The random ranges ``resampling_time_range`` and ``restitution_range`` in a config may have two equal ends.
+# In a config, only ``resampling_time_range`` and ``restitution_range`` may have equal lower and upper ends.
 _FIXED = ("resampling_time_range", "restitution_range")
 
 
@@ -139,8 +139,8 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
             yield Finding(key, message, hint, {"low": low, "high": high}, ({key: [0.0, 0.0]},))
 
 
-_MARGIN = 1.2  # A good policy survives slightly larger pushes than the model of an inverted pendulum predicts.
-_WEAK = 0.2  # The smallest useful push, as a share of the largest push that the wheels can catch.
+_MARGIN = 1.2  # A good policy survives pushes up to 1.2 times the limit of the inverted-pendulum model.
+_WEAK = 0.2  # A push below 20 % of the largest push that the wheels can catch is too weak to test a policy.
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 
@@ -159,7 +159,7 @@ def push_size(case: Case) -> Iterator[Finding]:
     balance = case.facts.balance
     if balance is None:
         return
-    # A robot falls after a push above the wheels' largest acceleration, m/s², divided by the tilt's growth rate, 1/s.
+    # ``limit`` is the fastest push that the wheels can catch, m/s: wheel acceleration (m/s²) / tilt growth rate (1/s).
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
     spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
@@ -206,13 +206,13 @@ def wrench_size(case: Case) -> Iterator[Finding]:
             )
 
 
-_DROP = 0.1  # The largest accepted height of a start pose above the ground, as a share of the robot's standing height.
-_GROUND = 1e-4  # The largest accepted depth (m) of a start pose inside the ground, because contacts are soft.
-_HEIGHT = 0.05  # The largest accepted error of the rewarded height, as a share of the robot's standing height.
-_FALLS = 5.0  # The shortest useful episode, in time constants of a falling robot's exponentially growing tilt.
+_DROP = 0.1  # A robot may start above the ground by at most 10 % of its standing height.
+_GROUND = 1e-4  # A robot may start at most 0.1 mm inside the ground, because contacts are soft.
+_HEIGHT = 0.05  # A reward's target height may differ from the robot's standing height by at most 5 %.
+_FALLS = 5.0  # An episode must last at least five time constants of a robot's fall.
 _UPRIGHT = math.pi
 _LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
-# The parameter ``threshold`` of the rewards ``feet_air_time...`` is a time in seconds, not a force.
+# In the rewards ``feet_air_time...``, the parameter ``threshold`` is a time in seconds, not a force.
 _TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")
 _ON_WHEELS = (
     "rewards.no_contact_count",
@@ -337,7 +337,7 @@ def _drawn_tilt(case: Case) -> float:
     return max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in ranges), default=0.0)
 
 
-_DEPTH = 0.01  # The largest depth of a robot in the ground that soft contacts correct gently, as a share of its size.
+_DEPTH = 0.01  # Soft contacts gently correct a start that is inside the ground by at most 1 % of the robot's size.
 
 
 @rule
@@ -356,7 +356,7 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # The lint rule spawn_height reports a default pose inside the ground.
+        start = -case.facts.clearance  # The lint rule spawn_height reports a depth of the default pose.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)
@@ -385,7 +385,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # Roll and pitch rotate the base about fixed axes.
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # "XYZ" means rotations about fixed axes.
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat

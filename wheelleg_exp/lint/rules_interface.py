@@ -13,7 +13,7 @@ from wheelleg_exp.terms.term_binding import TARGET
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
 _ABSOLUTE = "actions.JointPositionAction"
 _VELOCITY = ("actions.JointVelocityAction",)
-_TINY = 0.01  # The smallest useful motion of a joint for an action of 1, as a share of the joint's range.
+_TINY = 0.01  # An action of 1 should move a joint by at least 1 % of the joint's range.
 
 
 @rule
@@ -149,9 +149,9 @@ def command_reach(case: Case) -> Iterator[Finding]:
 
 
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
-_SMALLEST, _LARGEST = 0.01, 10.0  # The smallest and the largest useful absolute value of a network's inputs.
-_LOUD = 0.5  # The largest useful observation noise, as a share of the largest signal.
-# The parameters that set the size of noise (half-widths or a standard deviation), with their defaults.
+_SMALLEST, _LARGEST = 0.01, 10.0  # The size of a policy's inputs should be between 0.01 and 10.
+_LOUD = 0.5  # An observation's noise should be below 50 % of the observation's largest value.
+# For each type of observation noise, ``_NOISES`` has the parameters that set the noise's size, and their defaults.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
 

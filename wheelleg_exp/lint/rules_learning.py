@@ -9,9 +9,9 @@ from typing import Any
 from wheelleg_exp.lint import reward_tolerances as tolerances
 from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
 
-_AUDIBLE = 0.01  # An error as large as a reward term's tolerance should cost at least 1 % of the best possible reward.
-_OUTWEIGHS = 4.0  # The largest plausible ratio of one negative reward to the sum of all positive rewards.
-_STILL = 0.5  # The largest accepted share of a tracking reward that a robot earns without motion.
+_AUDIBLE = 0.01  # An error as large as a reward term's tolerance should cost at least 1 % of the total best reward.
+_OUTWEIGHS = 4.0  # A penalty above four times the sum of all positive rewards is implausible.
+_STILL = 0.5  # A robot at rest should earn less than 50 % of a tracking reward.
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
 
@@ -77,7 +77,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
 
 def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
     kind = tolerances.TRACKING[term.kind]
-    # The robot's speed at a wheel action of 1, m/s; a tenth of the top speed for a robot without wheel actions.
+    # ``drift`` is the robot's speed at a wheel action of 1, m/s, or a tenth of its top speed without wheel actions.
     drift = 0.1 * case.facts.top_speed
     for action in case.terms("actions", "actions.JointVelocityAction"):
         scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
@@ -166,9 +166,9 @@ def horizon_steps(case: Case) -> float:
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # The relative tolerance for rounding errors in the difference 1 - gamma.
-_FALLS = 5.0  # The smallest useful discount horizon, in time constants of a falling robot's exponentially growing tilt.
-_EARLY = 0.25  # In a policy's mean weights, the first training iterations should have a share of at most 25 %.
+_DUST = 1e-9  # Comparisons tolerate relative rounding errors of 1e-9, because 1 - gamma is not exact.
+_FALLS = 5.0  # The discount horizon must be at least five time constants of a robot's fall.
+_EARLY = 0.25  # At most 25 % of a policy's averaged weights should come from the first training iterations.
 
 
 @rule
@@ -238,7 +238,7 @@ def late_average(case: Case) -> Iterator[Finding]:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        # In the weights' mean over i iterations, the share of the first n is (1 - 1/n)^(i - n), at most exp(1 - i/n).
+        # After i iterations, the first n have the share (1 - 1/n)^(i - n) <= exp(1 - i/n) of the averaged weights.
         few = int(iterations / (1.0 - math.log(_EARLY)))
         enough = few if few > 1 else 0  # 0 disables the mean
         message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"

@@ -17,8 +17,8 @@ from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # The converter may assume at most 5 % of a robot's mass, for links without a mass in the robot file.
-_WEIGHTY = 0.01  # A link's inertia matters if the link has more than 1 % of the robot's mass.
+_ASSUMED = 0.05  # At most 5 % of a robot's mass may be assumed, because the robot file lacks the masses of some links.
+_WEIGHTY = 0.01  # The lint rules ignore the inertia of a link with less than 1 % of the robot's mass.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 
@@ -96,14 +96,14 @@ def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         yield Finding(_ASSET, shown, hint, {"lost": float(len(lost))})
 
 
-_LIGHT = 2.0  # The smallest plausible ratio of a robot's mass to the cube of its length, kg/m³.
-_WIDE = 1.5  # The largest possible ratio of a link's radius of gyration to its extent.
-_NARROW = 0.03  # The smallest plausible ratio of a link's radius of gyration to its extent.
-_OUTSIDE = 0.5  # The largest distance of a link's centre of mass outside its shapes, as a share of the link's extent.
-_TRIANGLE = 0.01  # The largest accepted relative excess of one moment of inertia over the sum of the other two.
-_LOCKED = 0.02  # The smallest range, rad, of a joint that can move.
-_PLACEHOLDER = 50.0  # The largest plausible ratio of an effort limit to the robot's weight times the robot's length.
-_FAST = 200.0  # The largest plausible speed of a joint, rad/s.
+_LIGHT = 2.0  # A robot's mass (kg) divided by the cube of its length (m³) is at least 2 for any plausible robot.
+_WIDE = 1.5  # A link's radius of gyration above 1.5 times the link's extent is implausible.
+_NARROW = 0.03  # A link's radius of gyration below 3 % of the link's extent is implausible.
+_OUTSIDE = 0.5  # A link's centre of mass may be outside of the link's shapes by at most 50 % of the link's extent.
+_TRIANGLE = 0.01  # One moment of inertia of a link may exceed the sum of the other two by at most 1 %.
+_LOCKED = 0.02  # A joint with a range below 0.02 rad counts as locked.
+_PLACEHOLDER = 50.0  # An effort limit above 50 times the robot's weight times the robot's length is implausible.
+_FAST = 200.0  # A joint speed limit above 200 rad/s is implausible.
 
 
 @rule
@@ -215,7 +215,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    # A task config sets effort and speed limits, so limits of 0 in the robot file matter only without a task config.
+    # Report limits of 0 in the robot file only without a task config, because a task config sets its own limits.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
     weak = [name for name in facts.joints if name in written and "task" not in case.config]

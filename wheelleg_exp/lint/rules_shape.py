@@ -17,11 +17,11 @@ from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 from wheelleg_exp.sim.names import match_names
 
 _ASSET = "env.robot.asset"
-_TOUCHES = 2e-3  # The deepest overlap that soft contacts allow, as a share of the robot's size.
-_DEEP = 0.25  # The deepest accepted overlap of two links that a joint connects, as a share of the robot's size.
+_TOUCHES = 2e-3  # Overlaps of bodies up to 0.2 % of the robot's size are normal, because contacts are soft.
+_DEEP = 0.25  # Two links that share a joint may overlap by at most 25 % of the robot's size.
 _STANDS = 5e-3  # A body touches the ground if it is at most 0.5 % of the robot's size above the robot's lowest point.
-_BUMP = 0.05  # The largest accepted variation of a wheel's radius around the rim, as a share of the radius.
-_UNEQUAL = 0.02  # The largest accepted relative difference between the radii of left and right wheels.
+_BUMP = 0.05  # A wheel's smallest radius may be at most 5 % below its largest radius.
+_UNEQUAL = 0.02  # The radii of a left and a right wheel may differ by at most 2 %.
 _SHOWN = 4  # pairs in one message
 
 
@@ -110,9 +110,9 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
             yield Finding(_ASSET, message, "colliders of one size", {"left_m": one, "right_m": other})
 
 
-_LEAN = 0.06  # The largest lean of a robot, rad, that a policy easily corrects.
-_DRAWN_LEAN = 0.17  # The largest accepted lean, rad, in the pose of the robot file, which is not chosen for balance.
-_EDGE = 0.1  # The smallest distance of the centre of mass from an outer wheel contact, as a share of the wheelbase.
+_LEAN = 0.06  # A policy easily corrects a lean of the robot of at most 0.06 rad.
+_DRAWN_LEAN = 0.17  # The pose in a robot file may lean by up to 0.17 rad, because nobody chose this pose for balance.
+_EDGE = 0.1  # The centre of mass must be at least 10 % of the wheelbase behind the front and before the rear contacts.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
 
@@ -204,13 +204,13 @@ def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         )
 
 
-_PLACE = 0.015  # The allowed distance between a joint and its mirror image, as a share of the robot's size.
+_PLACE = 0.015  # A joint may be at most 1.5 % of the robot's size away from its partner's mirror image.
 _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
-_CENTRE = 0.02  # The allowed distance between a centre of mass and its mirror image, as a share of the robot's size.
-_ANGLE = 0.02  # The largest accepted difference, rad, between limits or positions of left and right joints.
-_NEGLIGIBLE = 0.01  # Symmetry checks ignore the centres of mass of links that have less than 1 % of the robot's mass.
-_ALONG = 0.9  # The smallest cosine between a joint's axis and the wheels' axle, for joints parallel to the axle.
+_CENTRE = 0.02  # A link's centre of mass may be at most 2 % of the robot's size away from its partner's mirror image.
+_ANGLE = 0.02  # The limits or positions of a left and a right joint may differ by at most 0.02 rad.
+_NEGLIGIBLE = 0.01  # Symmetry checks ignore the centre of mass of a link with less than 1 % of the robot's mass.
+_ALONG = 0.9  # A joint counts as parallel to the wheels' axle if the cosine of the angle between them is above 0.9.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
 _MOST = 4  # findings of one kind
 

@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# Managers read the term settings in ``_READ_AT_EACH_USE`` at each use, and all other term settings only once.
+# Managers read the settings in ``_READ_AT_EACH_USE`` at each use, and all other settings of a term only once.
 _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -25,7 +25,7 @@ def parse(address: str) -> tuple[Part, ...]:
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
         if found is None:
             raise ConfigError(
-                f"'{address}' is not the address of a setting", key=_KEY, expected="names and indices, as in a.b[2].c"
+                f"'{address}' is not a setting's address", key=_KEY, expected="names and indices, as in a.b[2].c"
             )
         parts += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
     return tuple(parts)
@@ -78,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # Isaac Lab's address `TERM.params.NAME` means `TERM.NAME` in this project.
+        if part in ("func", "params"):  # Isaac Lab's `TERM.params.NAME` is `TERM.NAME` here.
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
@@ -87,7 +87,7 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ManagerBase) and part in holder.term_names:
         return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
-        return holder  # Isaac Lab's address `reward_manager.cfg.TERM` means `reward_manager.TERM` in this project.
+        return holder  # Isaac Lab's address `reward_manager.cfg.TERM` is `reward_manager.TERM` in this project.
     try:
         return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
     except (KeyError, IndexError, AttributeError, TypeError):

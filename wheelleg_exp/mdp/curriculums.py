@@ -20,7 +20,7 @@ from wheelleg_exp.terms.term_binding import resolve_target
 
 def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
     """Set a reward term's weight after ``num_steps`` control steps of training; return the present weight."""
-    del env_ids  # The counter of control steps and the weight of a reward term are equal in all environments.
+    del env_ids  # A reward term has the same weight in all environments, so the weight does not depend on ``env_ids``.
     term = env.reward_manager.get_term_cfg(term_name)
     if env.common_step_counter > num_steps:
         term.fields["weight"] = weight
@@ -69,7 +69,7 @@ class modify_env_param(TermBase):
             message = f"'{getattr(self._modify, '__name__', type(self._modify).__name__)}': {error}"
             raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
-        # Each manager term saves its own settings, so a curriculum term saves only settings outside of manager terms.
+        # A checkpoint already saves each manager term's settings, so a curriculum term saves only other settings.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written, self._value = False, None
@@ -82,7 +82,7 @@ class modify_env_param(TermBase):
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy the result of ``modify_fn``, because a checkpoint cannot restore a list that two attributes share.
+            # Copy the setting's new value, because a checkpoint cannot restore a list that two attributes share.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -213,7 +213,7 @@ lin_vel_cmd_levels = command_range_levels
 ang_vel_cmd_levels = command_range_levels
 
 
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # the components of a velocity command, in the order of its tensor
+_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # A velocity command's tensor has the components in ``_AXES``.
 
 
 class command_levels_by_skill(TermBase):
@@ -272,10 +272,10 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        # ``_sums`` adds up the tracking score, the score of a robot at rest, and the number of steps of each episode.
+        # ``_sums`` adds up, in each episode, the tracking score, the score of a robot at rest, and the number of steps.
         self._sums = torch.zeros(shape, device=env.device)
-        self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` sums ``_sums`` over ended episodes.
-        # ``_counts[i]`` is False if the episode of environment i started before a command range was last enlarged.
+        self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` sums up ``_sums`` of ended episodes.
+        # ``_counts[i]`` is False if the episode of environment i started before the last change of a command range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
@@ -301,7 +301,7 @@ class command_levels_by_skill(TermBase):
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # the tracking score is 0 in the steps that a failed episode lacks
+        sums[1:] *= rest  # In the missing steps of a failed episode, the tracking score counts as 0.
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
@@ -318,7 +318,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # Skip an axis on which the command was zero in all control steps.
+            if steps - still <= 0.0:  # Skip a command component that was always zero.
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]

@@ -55,7 +55,7 @@ class Clip(Modifier):
         return value.clip(*self._bounds)
 
 
-# Isaac Lab names the modifiers ``Scale``, ``Bias``, and ``Clip`` in lower case: ``scale``, ``bias``, and ``clip``.
+# Isaac Lab's names of the modifiers ``Scale``, ``Bias``, and ``Clip`` are in lower case.
 scale, bias, clip = Scale, Bias, Clip
 
 
@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # Checkpoints save tensor attributes, but no constant tuples.
+        self._coefficients = (feedback, forward)  # A checkpoint saves tensors, but not constant tuples of tensors.
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 

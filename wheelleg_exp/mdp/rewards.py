@@ -382,7 +382,7 @@ def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
         raise ConfigError(message, key=key, expected="the same number, in the order of sensor_cfg.body_names")
 
 
-_WALKING = 0.1  # the commanded speed below which the robot counts as standing, m/s
+_WALKING = 0.1  # A commanded speed below 0.1 m/s counts as a command to stand.
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:

@@ -14,7 +14,7 @@ from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
-_ROUNDING = 1e-3  # a tolerance as a share of the effort limit, because the engine rounds the torque of a stiff drive
+_ROUNDING = 1e-3  # The engine's rounding error of a torque is at most 0.1 % of the effort limit.
 
 
 def time_out(env: Env) -> torch.Tensor:
@@ -98,7 +98,7 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        # The number of control steps since the robot last moved by ``distance``; -1 at the start of an episode.
+        # ``_stayed`` counts control steps since the robot last moved by ``distance``; -1 at the start of an episode.
         self._stayed = torch.full((env.num_envs,), -1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:

@@ -32,9 +32,9 @@ from wheelleg_exp.project.task_yaml import config_files
 
 _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
-# Words that cannot be project names, because YAML or Hydra's override grammar treats them as values.
+# A project name must not be one of these words, because YAML or Hydra treats the words as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# Names that cannot be project names, because they have a fixed meaning in a project, in pytest, or in pip.
+# A project name must not be one of these names, because they have a meaning in a project, in pytest, or in pip.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
 _EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 
@@ -80,7 +80,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_NEVER_SILENCED = ("missing_files", "robot_size")  # The lint rule robot_size finds robot files with wrong units.
+_NEVER_SILENCED = ("missing_files", "robot_size")  # missing_files and robot_size find errors of the robot file.
 _PURPOSES = {
     "action": "the effect of one unit of action",
     "observation": "positions of the legs",
@@ -150,7 +150,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
         nearest = str(source.with_name(near)) if near else None
         message = "the path is a folder" if source.is_dir() else "there is no such file"
         raise AssetError(message, key=f"--robot {source}", expected="a USD or URDF file", nearest=nearest)
-    # Write the project to a draft folder and rename the folder, so that an error leaves no incomplete project.
+    # First write the project to a temporary folder, so that an error leaves no incomplete project.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
         draft.mkdir()
@@ -172,7 +172,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    # Copy and measure a robot. Error messages name the user's robot file, not the copied file.
+    # Copy the user's robot file and measure the robot; error messages name the original file, not the copy.
     folder = draft / "assets" / name
     try:
         robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
@@ -190,7 +190,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        # Silence the findings of `wheelleg check --physics` in the task file, with each finding's text as the reason.
+        # The new task file silences the findings of `wheelleg check --physics`, and quotes each finding as the reason.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}

@@ -43,7 +43,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {file.resolve() for file in files if file.is_file()}
         if _copied_in_place(source, files, folder):
             return folder / source.name
-        # If a USD stage refers to files outside of its folder, the USD library copies them and updates the references.
+        # The USD library also copies files outside of the stage's folder, and updates references to these files.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
         if not done or not (folder / source.name).is_file():
             message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
@@ -106,7 +106,7 @@ def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # If a robot file is a symbolic link, copy the file under both names.
+    if source.name != source.resolve().name:  # Copy a robot file that is a symbolic link under both of its names.
         _copy(source, folder / source.name)
     return True
 

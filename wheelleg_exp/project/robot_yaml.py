@@ -18,21 +18,21 @@ from wheelleg_exp.project.survey import Survey
 WIDTH = 110
 _PLAIN = re.compile(r"[A-Za-z_][\w./-]*")
 _WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
-_LEG_RATE = 2 * math.pi * 3  # The bandwidth of a leg joint, rad/s.
+_LEG_RATE = 2 * math.pi * 3  # The default bandwidth of a leg joint is 3 Hz.
 _DAMPING_RATIO = 0.7
-_SAG = 0.05  # The largest position error of a leg joint that carries the robot's weight, rad or m.
-_STRENGTH = 3.0  # The ratio of a leg drive's default effort limit to the torque that carries the robot's weight.
-_LEVER = 0.25  # The shortest assumed lever of the robot's weight at a leg joint, as a share of the leg's length.
-_BENDS = 0.35  # The largest static position error, rad or m, of a leg joint that does not buckle.
-# The largest accepted ratio of a drive's torque at a position error of 0.05 rad to the drive's effort limit.
+_SAG = 0.05  # The default stiffness of a leg joint limits the position error under the robot's weight to 0.05 rad.
+_STRENGTH = 3.0  # The default effort limit of a leg joint is three times the torque that carries the robot's weight.
+_LEVER = 0.25  # The lever of the robot's weight at a leg joint is assumed to be at least 25 % of the leg's length.
+_BENDS = 0.35  # A stiffness is too small if the robot's weight causes a position error above 0.35 rad.
+# A stiffness is too large if a position error of 0.05 rad needs more than four times the drive's effort limit.
 _FULL = 4.0
-_SLIPS = 5.0  # The largest realistic ratio of a wheel's effort limit to the torque at which the wheel slips.
-_FAST = 100.0  # The largest realistic speed limit of a joint, rad/s.
-_WEAK = 0.3  # The smallest accepted ratio of a leg drive's effort limit to the torque that carries the robot's weight.
-_STEP = 0.005  # The physics time step of a new project's task, s.
+_SLIPS = 5.0  # A wheel's effort limit above five times the torque at which the wheel slips is not realistic.
+_FAST = 100.0  # A joint's speed limit above 100 rad/s is not realistic.
+_WEAK = 0.3  # A leg drive's effort limit must be at least 30 % of the torque that carries the robot's weight.
+_STEP = 0.005  # A new project's task has a physics time step of 5 ms.
 _LEG_SPEED = 15.0  # rad/s
-_WHEEL_TIME = 0.1  # The time constant of a wheel's speed, s.
-_TRACTION = 1.5  # The ratio of a wheel's effort limit to the torque at which the wheel slips.
+_WHEEL_TIME = 0.1  # A wheel's default damping gives its speed a time constant of 0.1 s.
+_TRACTION = 1.5  # The default effort limit of a wheel is 1.5 times the torque at which the wheel slips.
 _GROUND_SPEED = 2.0  # m/s
 _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 
@@ -141,7 +141,7 @@ def wheel_gains(robot: Survey) -> Gains:
     dofs, refused = robot.dofs, list[str]()
     started = {name: (facts.joints[name].effective + share) / _WHEEL_TIME for name in robot.wheels}
     damping, own = _filled(robot, robot.wheels, lambda n: _speed_gain(dofs[n]), started.__getitem__)
-    # The torque at which a wheel slips, N·m.
+    # ``slips`` is the torque at which a wheel slips, N·m.
     slips = max(facts.friction, 0.5) * facts.weight / count * robot.radius
 
     def file_effort(name: str) -> float | None:
@@ -197,7 +197,7 @@ def _velocity(dof: Dof) -> float | None:
 
 
 _TOUCH = "whether the robot's own bodies can touch; null means as in the asset"
-_HEIGHT_STEP = 1e-4  # The start height (m) is rounded up, so that no part of the robot starts inside the ground.
+_HEIGHT_STEP = 1e-4  # A robot's start height is rounded up to 0.1 mm, so that no part starts inside the ground.
 
 
 def robot_yaml(name: str, asset: str, robot: Survey) -> str:

@@ -35,7 +35,7 @@ from wheelleg_exp.sim.robot import Robot
 Quaternion = tuple[float, float, float, float]
 Array = NDArray[np.float64]
 
-_ALONG = math.cos(math.radians(15))  # Two axes count as equal if the angle between the axes is below 15 degrees.
+_ALONG = math.cos(math.radians(15))  # Two axes count as parallel if the angle between them is below 15 degrees.
 _LEAN = math.radians(0.5)  # smaller leans are ignored
 
 
@@ -87,8 +87,8 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_GROUND = 0.05  # The largest height of a body that counts as on the ground, as a share of the standing height.
-_LEVEL = 0.99  # The smallest cosine of the tilt of an upright root link.
+_GROUND = 0.05  # A body counts as on the ground up to a height of 5 % of the robot's standing height.
+_LEVEL = 0.99  # The root link is upright if the cosine of its tilt is at least 0.99.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
@@ -246,7 +246,7 @@ def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[s
     """
     followers = {coupling.joint for coupling in robot.couplings}
     passive: list[str] = []
-    # Legs and wheels are separate groups here, because some robot files contain drives for only one of the two.
+    # Handle leg joints and wheels separately, because some robot files define drives only for legs or only for wheels.
     for group in ([name for name in dofs if name not in wheels], wheels):
         free = [name for name in group if name not in followers]
         driven = [name for name in free if dofs[name].drive is not None]

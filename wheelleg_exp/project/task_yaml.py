@@ -9,18 +9,18 @@ from wheelleg_exp.project.robot_yaml import leg_gains, names, number, wheel_gain
 from wheelleg_exp.project.survey import Survey
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
-_CONTACT = 0.02  # The smallest force that counts as a contact, as a share of the robot's weight.
-_FORCE = 0.02  # The largest random permanent force on the base, as a share of the robot's weight.
-_TORQUE = 0.01  # The largest random permanent torque on the base, as a share of the robot's weight times its height.
-_LOAD = (-0.05, 0.1)  # The smallest and largest mass that an event adds to the trunk, as shares of the trunk's mass.
-_ERROR = 0.2  # The height error that costs a reward of 1 per second, as a share of the robot's standing height.
-# The penalty per second for a vertical speed of 0.1 sqrt(g h) or a tilt rate of 0.1 sqrt(g / h), with robot height h.
+_CONTACT = 0.02  # A force above 2 % of the robot's weight counts as a contact.
+_FORCE = 0.02  # The constant random force on the trunk is at most 2 % of the robot's weight.
+_TORQUE = 0.01  # The constant random torque on the trunk is at most 1 % of the robot's weight times the robot's size.
+_LOAD = (-0.05, 0.1)  # An event adds between -5 % and 10 % of the trunk's mass to the trunk.
+_ERROR = 0.2  # A height error of 20 % of the robot's size costs a reward of 1 per second.
+# The penalty is 0.15/s for a vertical speed of 0.1 sqrt(g h) or a tilt rate of 0.1 sqrt(g / h), with robot height h.
 _COST = 0.15
-_TILT = 0.03  # The largest random tilt of the stock reset event, rad.
-_DIP = 0.003  # The largest depth of a wheel in the ground after a random start tilt, as a share of the robot's size.
+_TILT = 0.03  # By default, the reset event tilts the robot randomly by at most 0.03 rad.
+_DIP = 0.003  # A random start tilt may put a wheel into the ground by at most 0.3 % of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
-_LEG_SCALE = (0.05, 0.25)  # The smallest and largest leg rotation for an action of 1, rad.
-_WHEEL_EFFORT = 0.25  # The torque of a wheel action of 1 at standstill, as a share of the drive's largest torque.
+_LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 rad.
+_WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
 
 
 def config_files(name: str, robot: Survey) -> dict[str, str]:
@@ -146,9 +146,9 @@ def _events(robot: Survey) -> str:
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
     trunk = names([robot.trunk], 8)
-    # The random tilt at a reset is reduced if its default range would put a wheel or foot into the ground.
+    # Reduce the reset event's random tilt if its default range would put a wheel or foot into the ground.
     anatomy = robot.anatomy
-    # The positions of the feet are unknown, so their distance is assumed to be half of the robot's size.
+    # Without wheels, assume that each foot is half of the robot's size away from the robot's middle.
     arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)
     if anatomy.forward is not None:
         along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]

@@ -13,11 +13,11 @@ from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# Each picture layer has a number of channels and a data type per pixel.
+# ``FORMS`` maps each picture layer to the number of its channels and the data type of its pixels.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
-_BEYOND = 0.999  # A pixel deeper than 99.9 % of the far clipping distance shows no surface.
+_BEYOND = 0.999  # A pixel whose depth is above 99.9 % of the far clipping distance shows no surface.
 _AMBIENT = 0.4
-_HIDDEN = 5  # MuJoCo does not draw the geoms in geom group 5.
+_HIDDEN = 5  # The renderer draws no geoms of geom group 5.
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class CameraOrder:
     width: int
     height: int
     clipping_range: tuple[float, float]
-    layers: Sequence[Layer]  # A depth is along the camera's axis, m (inf: no surface); a geom id of -1 means no geom.
+    layers: Sequence[Layer]  # The layer depth is along the camera's axis, m; inf and the geom id -1 mean no surface.
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
-    # The scene's light is at the camera, so that a surface that faces the camera has the brightness of its material.
+    # Put the light at the camera, so that a surface that faces the camera appears in the colour of its material.
     light = model.vis.headlight
     light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
     near, far = order.clipping_range
@@ -78,7 +78,7 @@ class _Draw:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        # Update the scene twice, because MuJoCo centres an infinite plane at the camera's previous position.
+        # Update the scene twice, because the first update centres an infinite plane at the camera's previous position.
         for _ in range(2):
             self._renderer.update_scene(self._data, self._order.camera, self._option)
         return [getattr(self, layer)() for layer in self._order.layers]

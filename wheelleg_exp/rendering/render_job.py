@@ -74,7 +74,7 @@ def _draw(view: View, renderer: Any, model: Any, data: Any) -> np.ndarray[Any, A
             break
         geom = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(arrow.rgba, np.float32))
-        # Double the vector of an arrow, because MuJoCo draws an arrow at half of the given length.
+        # Double the arrow's vector, because MuJoCo draws an arrow with half of the given length.
         mujoco.mjv_connector(geom, kind, arrow.radius, arrow.origin, 2 * arrow.end - arrow.origin)
         geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
         scene.ngeom += 1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FAR = 1e6  # Objects more than 1e6 m away from the camera are not drawn.
+FAR = 1e6  # Objects with coordinates above 1e6 m are not drawn.
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class Scene:
     bodies: Mapping[str, Sequence[Shape]]
     fixed: Sequence[Shape]
     ground: Ground | None
-    root: int  # The camera follows the body with the index `root`.
-    size: float  # The drawn robot is approximately `size` m high.
+    root: int  # The camera follows the body with the index ``root``.
+    size: float  # ``size`` is the robot's approximate height, m.
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
@@ -81,7 +81,7 @@ def points(scene: Scene, pos: Array, quat: Array) -> Array:
 
 
 AZIMUTH, ELEVATION = 142.0, -14.0  # The camera's azimuth and elevation are in degrees, as MuJoCo defines them.
-FOV = 30.0  # The camera's vertical field of view is 30 degrees, because a small angle does not distort the robot.
+FOV = 30.0  # A small vertical field of view, in degrees, draws the robot without distortion.
 _FILLED = 0.64  # The robot fills 64 % of the picture's height or width.
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.rendering.render_scene import FOV, Array, Ground, Scene, Shape
 
-VISUAL_GROUP = 2  # By convention, the geom group 2 of a MuJoCo model contains the visual geoms.
+VISUAL_GROUP = 2  # By MuJoCo's convention, geom group 2 contains the visual geoms of a robot.
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # MuJoCo defines 2 or 3 sizes for each kind of solid.
+_SIZES = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2}  # MuJoCo uses 2 or 3 sizes for each type of solid.
 _KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in (*_SIZES, "mesh")}
 _SOLIDS = {int(_KINDS[name]): (name, count) for name, count in _SIZES.items()}
 _SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -108,7 +108,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
     start = int(model.hfield_adr[field])
     height = model.hfield_data[start : start + rows * columns] * elevation
     x, y = np.meshgrid(np.linspace(-radius_x, radius_x, columns), np.linspace(-radius_y, radius_y, rows))
-    # Each cell of the height field becomes two triangles; ``low`` indexes each cell's vertex with the smallest x and y.
+    # Each cell of the height field becomes two triangles; ``low`` has the index of each cell's first vertex.
     low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
     vertices = np.column_stack((x.ravel(), y.ravel(), height))
@@ -144,7 +144,7 @@ class Kinematics:
     def height(self, root: int, qpos: Array) -> float:
         """Return the height, m, of the robot with root body ``root`` at joint positions ``qpos``, but at least 0.01."""
         self.update(qpos)
-        # Collect the body ``root`` and all descendants of this body.
+        # ``bodies`` lists the body ``root`` and all its descendants.
         bodies = [root]
         for body in range(root + 1, self._model.nbody):
             if int(self._model.body_parentid[body]) in bodies:
@@ -170,12 +170,12 @@ def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.M
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)
-    # A terrain needs a large shadow area, so that the border of the shadow area is outside the picture.
+    # A terrain needs a large shadow map, so that the border of the shadows is outside the picture.
     spec.visual.map.shadowclip = 8.0 if scene.fixed else 2.5
     spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
         _floor(spec, scene.ground.height, scene.ground.tile)
-    # Add a main light with shadows, and a weak light from the opposite side, to a body that follows the robot.
+    # A main light with shadows and a weak light from the opposite side follow the robot, on the body ``rig``.
     rig = spec.worldbody.add_body(name=RIG, mocap=True)
     for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
         position = np.array(place) * 4.0 * scene.size

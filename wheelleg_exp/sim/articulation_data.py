@@ -207,8 +207,8 @@ class ArticulationData(RobotData):
         """
         if self._vel_before is None:
             # The first read of an acceleration must compute the bodies' velocities before the last physics step.
-            # To compute these velocities, set qpos and qvel to their values before that step, and call ``forward``.
-            # Then restore the engine's present qpos and qvel.
+            # Set the engine's qpos and qvel to their values before the last physics step, and call ``forward``.
+            # Once the velocities are known, restore the engine's present qpos and qvel.
             # After the first read of an acceleration, each physics step starts by storing the bodies' velocities.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))

@@ -102,14 +102,14 @@ class BatchEngine(Engine):
             self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        rows = self.state.index_select(0, ids)  # Finite positions and velocities stay unchanged.
+        rows = self.state.index_select(0, ids)  # A reset of the engine keeps finite positions and velocities.
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
         # Before each physics step, MuJoCo resets a simulation with NaN or huge values, and counts a warning.
-        # Therefore, also search the results of the last step, qpos and qvel, for NaN and inf.
+        # Also search qpos and qvel for NaN and inf, because MuJoCo checks a step's results only in the next step.
         return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
@@ -137,7 +137,7 @@ class BatchEngine(Engine):
         """Return the engine's state; raise ConfigError if a term expanded a field with MuJoCo's ``Batch.expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
-                f"a term called MuJoCo's 'Batch.expand' for {' and '.join(hidden)}, which no checkpoint saves",
+                f"a term called MuJoCo's 'Batch.expand' for {' and '.join(hidden)}, whose values no checkpoint saves",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )

@@ -145,7 +145,7 @@ class Robot(RobotWriters):
             start = stop
         self._has_new_targets = False
         bodies = list(self._wrench_bodies)
-        if bodies == [0]:  # The simulation state contains the root link's rotation.
+        if bodies == [0]:  # The root link's rotation needs no forward kinematics, because it is part of the state.
             self._root_xfrc.copy_((data.root_rot_w.permute(1, 2, 0) * self._root_wrench).sum(dim=2))
         elif bodies:
             world = data.body_rot_w[:, bodies] @ self._wrench[:, bodies]

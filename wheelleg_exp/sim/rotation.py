@@ -33,7 +33,7 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
 # ``_HALF_ANGLES_TO_QUAT`` maps products of half-angle sines and cosines of roll, pitch, and yaw to a quaternion.
-# Index 0 of the dimensions roll, pitch, and yaw means the cosine of the half angle, and index 1 means its sine.
+# In ``_HALF_ANGLES_TO_QUAT``, index 0 of roll, pitch, or yaw means the half angle's cosine, and index 1 its sine.
 _HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),

@@ -73,7 +73,7 @@ class Scene(Kept):
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
         # In each contact of robot and ground, PhysX uses the average of the two friction coefficients.
-        # MuJoCo uses the friction of the geom with the higher priority, so the robot's geoms get this average.
+        # MuJoCo uses the friction of the geom with higher priority, so give the robot's geoms priority and the average.
         ground = self.terrain.friction(robot.friction_source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):

@@ -113,7 +113,7 @@ class WarpEngine(Engine):
         with self._graphs.here():
             self._m = put_model(mjw, model)
             self._d = mjw.make_data(model, nworld=num_envs, nconmax=self.room.contacts, njmax=self.room.rows)
-        self._m.opt.warn_overflow = 0  # This class raises an error if a contact or constraint buffer overflows.
+        self._m.opt.warn_overflow = 0  # A contact buffer overflow raises an error instead of a warning.
         # Each contact sensor searches at least twice as many contacts as it reports.
         of_contacts = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
         slots = int(model.sensor_intprm[of_contacts, 2].max(initial=0))
@@ -134,7 +134,7 @@ class WarpEngine(Engine):
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._all_ids = torch.arange(num_envs, device=self.device)
-        from wheelleg_exp.sim import warp_kernels  # This import also imports the package Warp.
+        from wheelleg_exp.sim import warp_kernels
 
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}

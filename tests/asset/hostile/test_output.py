@@ -83,7 +83,7 @@ def test_the_robots_own_meshes_are_not_replaced(scratch: Scratch) -> None:
     source = robot(scratch.robot, "bot_meshes/part.obj")
     said = scratch.run("convert", source, "-o", source.with_suffix(".xml"))
     assert said.status == 2
-    assert "new mesh files would replace the input 'bot_meshes/part.obj'" in said.err
+    assert "mesh files would overwrite the input 'bot_meshes/part.obj'" in said.err
 
 
 @pytest.mark.parametrize("older", ["", "<mujoco/>"], ids=["none", "another"])

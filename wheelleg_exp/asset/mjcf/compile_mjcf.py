@@ -62,9 +62,9 @@ def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
     try:
         for what, got, want in _comparisons(model, robot):
             if not np.allclose(np.asarray(got, float), np.asarray(want, float), rtol=RELATIVE, atol=SMALL):
-                raise AssetError(f"the model of '{source}' differs from the file in {what}: {got}, expected {want}")
+                raise AssetError(f"MuJoCo's model of '{source}' has a wrong {what}: {got}, expected {want}")
     except KeyError as error:
-        raise AssetError(f"the model of '{source}' lacks an element of the MJCF file: {error.args[0]}") from None
+        raise AssetError(f"MuJoCo's model of '{source}' lacks an element of the file: {error.args[0]}") from None
 
 
 def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Comparison]:

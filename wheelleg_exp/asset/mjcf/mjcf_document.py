@@ -237,7 +237,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
-            # This attribute's name (such as joint or tendon) varies, so it cannot be a keyword argument.
+            # An actuator's target attribute is joint, tendon, or another name, so a keyword argument is not possible.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))

@@ -86,11 +86,11 @@ def number(value: float) -> str:
 
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo draws a geom without material and colour in this grey.
+GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom without material is grey.
 GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # By default, MuJoCo's viewer shows only geoms of groups 0 to 2.
 
 Attributes = dict[str, Value]
-PLAIN: Attributes = {  # The MJCF file omits attributes that have these default values of MuJoCo.
+PLAIN: Attributes = {  # ``PLAIN`` has MuJoCo's default values of attributes, which the MJCF file omits.
     **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (0.02, 1.0)),
     **dict.fromkeys(("solimp", "solimplimit", "solimpfriction"), (0.9, 0.95, 0.001, 0.5, 2.0)),
     **dict.fromkeys(("margin", "gap", "stiffness", "damping", "armature", "frictionloss"), 0.0),

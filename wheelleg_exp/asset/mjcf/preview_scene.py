@@ -39,7 +39,7 @@ def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
         return None
     alone = load(model, model.name)
-    # The temporary scene file must be in the MJCF file's folder, because it includes the MJCF file by a relative path.
+    # The temporary scene file includes the MJCF file by a relative path, so both files must be in one folder.
     draft = path.with_name(f".{path.stem}.trying.xml")
     try:
         write_text(draft, _text(robot, model, alone, STEPS[0]))

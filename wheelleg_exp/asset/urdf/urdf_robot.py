@@ -25,7 +25,7 @@ from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
 UNIT_LENGTH = 1e-6  # allowed error of lengths
-# A planar URDF joint becomes two slide joints and one hinge joint of MuJoCo, whose names end with these suffixes.
+# A planar URDF joint becomes two slides and one hinge of MuJoCo, whose names end with the suffixes in ``PLANAR``.
 PLANAR = ("_transX", "_transY", "_rotZ")
 
 Range = tuple[float, float]

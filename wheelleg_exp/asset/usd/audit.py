@@ -90,7 +90,7 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# For a USD schema that matches ``_BY_ATTRIBUTES``, the conversion report lists the single attributes.
+# For a USD schema that matches ``_BY_ATTRIBUTES``, the conversion report lists the schema's attributes one by one.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"

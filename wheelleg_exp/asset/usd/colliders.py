@@ -142,7 +142,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
-        elif shape.vertices is not None and shape.faces is None:  # A mesh without faces means a convex hull.
+        elif shape.vertices is not None and shape.faces is None:  # Mesh points without faces define a convex hull.
             shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)

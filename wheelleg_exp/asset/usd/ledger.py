@@ -20,7 +20,7 @@ from wheelleg_exp.asset.conversion_report import Assumption, Finding, Kind, Left
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.errors import AssetError
 
-HUGEST = 1e30  # Larger USD numbers are invalid, because their products could overflow to infinity.
+HUGEST = 1e30  # A USD number above 1e30 is invalid, because a product of such numbers could overflow to infinity.
 
 What = Literal["number", "flag", "text", "vector", "array"]
 

@@ -158,7 +158,7 @@ def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> 
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
-# The robot's MJCF file gets only these options; a task's config sets the physics time step and the solver.
+# The robot's MJCF file gets only options in ``_OPTIONS``; a task's config sets the physics time step and the solver.
 _OPTIONS = """cone impratio density viscosity wind magnetic o_margin o_solref o_solimp o_friction
 noslip_iterations noslip_tolerance"""
 OPTIONS = {f"mjc:option:{name}": name for name in _OPTIONS.split()}

@@ -309,7 +309,7 @@ def _units(usd: Usd.Stage, source: Path) -> Units:
     for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
         if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
             expected = "a positive number, such as 1 or 0.01"
-            raise AssetError(f"the USD stage has {name} = {value:g}", where=str(source), expected=expected)
+            raise AssetError(f"the USD unit {name} = {value:g} is invalid", where=str(source), expected=expected)
     return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 

@@ -56,8 +56,8 @@ class RangedCommand(CommandTerm):
         """Set the ranges of a command's components by axis; the component of an axis without a range is 0."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # Outside inference mode, inference tensors cannot be changed in place.
-            self._bounds = self._present()  # A checkpoint contains a tuple of tensors only if the tensors have changed.
+        with torch.inference_mode(False):  # Tensors from inference mode cannot be changed in place later.
+            self._bounds = self._present()  # A checkpoint saves the tuple ``_bounds`` only if its tensors change.
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:

@@ -131,7 +131,7 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
             expected = "flat patches 'target' in env.scene.terrain"
             expected += f", which has {', '.join(patches)}" if patches else ""
             raise ConfigError(
-                "the ground has no flat patches named 'target', from which positions are drawn", expected=expected
+                "the terrain has no flat patches named 'target', which this command needs", expected=expected
             )
         self._patches = (patches["target"],)
 
@@ -193,7 +193,7 @@ class UniformPoseCommand(RangedCommand):
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
         # The dot product of two unit quaternions is cos(angle / 2).
-        # Use the sine of the angle too, because the cosine of a small angle hardly changes with the angle.
+        # Use atan2 of the sine and the cosine, because the cosine of a small angle hardly changes with the angle.
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))

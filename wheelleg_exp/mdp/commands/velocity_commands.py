@@ -165,7 +165,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         self._command.masked_fill_(self.is_zero_vel_env, 0.0)
 
 
-_ROLLS = 0.5  # smallest |wheel axis · base y axis| of a wheel that rolls along the x axis
+_ROLLS = 0.5  # A wheel can roll along x if its axle is less than 60 degrees away from the y axis.
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):

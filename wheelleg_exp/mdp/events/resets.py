@@ -97,7 +97,7 @@ class reset_root_state_from_terrain(TermBase):
         if "init_pos" not in self._terrain.flat_patches:
             expected = "flat patches 'init_pos' in env.scene.terrain"
             raise ConfigError(
-                "the ground has no flat patches named 'init_pos', from which start positions are drawn",
+                "the terrain has no flat patches named 'init_pos', from which this event draws start positions",
                 expected=expected,
             )
 

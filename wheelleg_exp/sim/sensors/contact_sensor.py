@@ -66,7 +66,7 @@ class ContactPairs:
     def points(self) -> torch.Tensor:
         """Return the mean contact position of each sensed body with each other body, m, (N, B, M, 3), or NaN."""
         count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # MuJoCo sets unused contact slots to 0.
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # A contact sensor's unused slots contain zeros.
 
     def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
         return values.float().view(len(values), self._bodies, -1, 3)
@@ -103,7 +103,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # None until ``net_forces_w_history`` is read.
+        self._history: torch.Tensor | None = None  # ``_history`` is created when ``net_forces_w_history`` is read.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -126,7 +126,7 @@ class ContactSensorData(Kept):
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
         """Replace the force history by a sequence of tensors (N, B, 3), with the newest force first."""
-        self.forces[:] = forces  # Captured CUDA graphs refer to this list, so change it in place.
+        self.forces[:] = forces  # Captured CUDA graphs refer to the list ``forces``, so change this list in place.
         self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:

@@ -221,7 +221,7 @@ def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
     """Make a property that reads ``of_root`` in the robot's data for the root link, ``of_bodies`` for other links."""
 
     def get(self: Mount) -> torch.Tensor:
-        # Reading the root link is cheaper, because its pose and velocity need no forward kinematics.
+        # Reading the root link's pose and velocity is cheaper, because only other links need forward kinematics.
         data = self._robot.data
         return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
 

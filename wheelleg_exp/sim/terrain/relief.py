@@ -74,7 +74,7 @@ class HeightMap:
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # Isaac Lab adds this margin to index / columns before it chooses a terrain column's sub-terrain.
+_MARGIN = 0.001  # Isaac Lab adds this margin when it chooses the sub-terrain of a column of terrain tiles.
 
 
 @dataclass(frozen=True)

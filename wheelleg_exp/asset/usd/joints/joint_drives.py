@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# These are PhysX's default values for attributes of the USD schema PhysxJointAxisAPI.
+# ``_AXIS_FALLBACKS`` has PhysX's default values for attributes of the USD schema PhysxJointAxisAPI.
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
