@@ -3,7 +3,8 @@ import json
 import numpy as np
 import pytest
 from asset.corpus import ABSENT, corpus_folder
-from lint.patients import HEALTHY, seeded, stock
+from env.composed import composed
+from lint.patients import HEALTHY, seeded
 from PIL import Image
 
 from wheelleg_exp.cli.completion import answer
@@ -21,7 +22,7 @@ def file(tmp_path, monkeypatch):
         path.write_text(text)
         return str(path)
 
-    monkeypatch.setattr("wheelleg_exp.lint.diagnosis.compose", lambda _: stock())
+    monkeypatch.setattr("wheelleg_exp.lint.diagnosis.compose", lambda words: composed(*words))
     return write
 
 

@@ -80,7 +80,7 @@ if __name__ == "__main__":
         point, *words = json.loads(line)
         if (child := os.fork()) == 0:
             os.dup2(2, 1)
-            signal.alarm(600)  # ends a fork that hangs
+            signal.alarm(600)  # The alarm ends a fork that hangs.
             plant(point)
             sys.exit(main(words))
         os.write(1, b"%d\n" % os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))

@@ -16,7 +16,7 @@ from patience import PATIENCE_S
 
 SIZE = 2
 _OF_NOBODY = 20000, 32000
-# Each line of the answer is one command's exit status. After an error a process cannot train again: "fork" goes first.
+# A line of the answer is one command's exit status. After an error, a process cannot train, so "fork" goes first.
 _SCRIPT = """
 import json, os, sys
 import wheelleg_exp.rl.ranks
@@ -24,10 +24,12 @@ from wheelleg_exp.cli.main import main
 
 for words, port in zip(json.loads(sys.argv[1]), json.loads(sys.argv[2]), strict=True):
     os.environ["MASTER_PORT"] = str(port)
-    child = os.fork() if words[0] == "fork" else None
-    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) if child else main(words[child == 0:])
-    if child == 0:
-        os._exit(status)
+    if words[0] != "fork":
+        status = main(words)
+    elif child := os.fork():
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    else:
+        os._exit(main(words[1:]))
     print("status", status, flush=True)
 """
 

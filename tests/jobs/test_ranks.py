@@ -31,8 +31,6 @@ GRADIENT_STEP = (
 DESCENT = [*FEW, "agent.max_iterations=1", *(f"agent.algorithm.{word}" for word in GRADIENT_STEP.split())]
 NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
 TRAIN = ["train", *FEW, *NORMALISED]
-
-
 LONG = ["agent.max_iterations=1000000", "agent.save_interval=1000000"]
 
 

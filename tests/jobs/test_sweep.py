@@ -217,6 +217,14 @@ def _files(run: Path) -> dict[str, Path]:
 
 
 @pytest.mark.train
+def test_a_warning_of_the_physics_check_is_shown_once_for_all_jobs_and_their_runs_are_listed(swept):
+    assert " ".join(swept.said.err.split()).count("check.silence.episode_end silences it") == 1
+    said = succeed("list", "runs", "--root", swept.root, "--json")
+    listed = {row["path"]: (row["status"], row["task"]) for row in json.loads(said.out)}
+    assert [listed[str(swept.index.run_of(job))] for job in swept.index.jobs] == [("finished", "stand")] * 2
+
+
+@pytest.mark.train
 def test_runs_trained_at_the_same_time_are_byte_for_byte_those_trained_alone(swept, alone):
     of_sweep = swept.index.run_of(swept.index.jobs[1])
     ours, theirs = _files(of_sweep), _files(alone)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from wheelleg_exp.config.composing.compose import compose
+from env.composed import composed
+
 from wheelleg_exp.lint.diagnosis import OF_ROBOT, case_of_file
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Case, Finding
@@ -60,8 +60,7 @@ def seeded(*changes: tuple[str, str], everywhere: bool = False) -> str:
     return text
 
 
-stock = cache(lambda: compose(["task=stand"]))
-case_of = patch("wheelleg_exp.lint.diagnosis.compose", lambda _: stock())(case_of_file)
+case_of = patch("wheelleg_exp.lint.diagnosis.compose", lambda words: composed(*words))(case_of_file)
 
 
 def patient(folder: Path, text: str = HEALTHY, **sections: Mapping[str, Any]) -> Case:

@@ -86,7 +86,7 @@ ROWS = [
     _action("EMAJointPositionToLimitsAction", "alpha", alpha=-0.1),
     _action("EMAJointPositionToLimitsAction", "alpha.left_hip", alpha={"left_hip": 2.0}),
     _action("BinaryJointPositionAction", "open_command_expr", "no value for joint right_hip", **HALF_OPEN),
-    _action("JointPositionAction", "asset_name", "'robto'", asset_name="robto"),
+    _action("JointPositionAction", "asset_name", "no robot or sensor 'robto'", asset_name="robto"),
     _action("JointPositionAction", "delay", delay=[2, 1]),
 ]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from functools import cache
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 import yaml
+from env.composed import composed
 
 from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, edited, four_legs, knees, urdf, with_hip_yaw
 from wheelleg_exp.cli.main import main
@@ -28,7 +28,8 @@ END = "</robot>"
 TRUNK = '<box size="0.2 0.1 0.1"/>'
 
 
-stock_env = cache(lambda: compose(["task=stand"]).config["env"])
+def stock_env():
+    return composed("task=stand").config["env"]
 
 
 def surveyed(source):

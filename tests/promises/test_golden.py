@@ -37,21 +37,28 @@ def test_the_corpus_converts_to_the_recorded_mjcf(request, monkeypatch):
 
 @pytest.mark.parametrize("section", ["compose", "explain"])
 def test_a_command_answers_what_was_recorded(section):
-    assert_section_as_recorded(section)
+    assert_section_as_recorded(section, every=4)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("section", ["check", "doctor"])
 def test_a_slow_command_answers_what_was_recorded(section):
-    assert_section_as_recorded(section)
+    assert_section_as_recorded(section, every=4)
 
 
-def assert_section_as_recorded(section: str) -> None:
-    """Compare every fourth entry; ``golden.py check`` compares all entries and takes four times as long."""
-    found = SECTIONS[section](every=4)
+@pytest.mark.full
+@pytest.mark.parametrize("section", ["compose", "explain", "check", "doctor"])
+def test_a_command_answers_every_recorded_entry(section):
+    assert assert_section_as_recorded(section, every=1) == list(load()[section])
+
+
+def assert_section_as_recorded(section: str, every: int) -> list[str]:
+    """Compare each ``every``-th entry of the long lists of a section; return the names of the compared entries."""
+    found = SECTIONS[section](every=every)
     assert len(found) >= 8
     assert set(found) <= set(load()[section])
     assert_as_recorded(section, found)
+    return list(found)
 
 
 @pytest.mark.train

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import copy
-import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,15 +8,14 @@ import numpy as np
 import pytest
 import rerun as rr
 import torch
+from env.composed import composed
 
 from wheelleg_exp.asset.conversion_cache import convert_cached
-from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.recording.writing.recorder import Recorder
 
 STEPS = 90
-composed = functools.cache(lambda *words: compose(["task=stand", *words]).config["env"])
 MakeEnv = Callable[..., ManagerBasedRLEnv]
 
 
@@ -41,8 +38,8 @@ def make_env(mjcf) -> MakeEnv:
         command = "env.commands.base_velocity"
         walking = [f"{command}.ranges.lin_vel_x=[0.1,0.3]", f"{command}.rel_standing_envs=0.0"]
         pushes = "env.events.push_robot.interval_range_s=[0.3,0.5]"
-        config = copy.deepcopy(composed(f"env.num_envs={num_envs}", *walking, pushes, *overrides))
-        return ManagerBasedRLEnv(config, mjcf, seed=0)
+        config = composed("task=stand", f"env.num_envs={num_envs}", *walking, pushes, *overrides).config
+        return ManagerBasedRLEnv(config["env"], mjcf, seed=0)
 
     return make
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import copy
 import functools
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,13 @@ import torch
 from jobs.small import TINY, cache_of
 
 from wheelleg_exp.asset import convert_cached
-from wheelleg_exp.config.composing.compose import apply_overrides, compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-_SETS_A_VALUE = re.compile(r"\+[\w.]+\.\w+=|[\w.]+\.\w+=[^{]|~[\w.]+$")  # Hydra merges a dict with the earlier one.
 MakeTrainer = Callable[..., Trainer]
 
 
@@ -40,13 +39,11 @@ def mjcf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_config() -> Callable[..., dict[str, Any]]:
-    composed = functools.cache(lambda *words: compose(["task=stand", *TINY, *words]).config)
+    @functools.cache
+    def composed(*overrides: str) -> dict[str, Any]:
+        return compose(["task=stand", *TINY, *overrides]).config
 
-    def config(*overrides: str) -> dict[str, Any]:
-        values = [word for word in overrides if _SETS_A_VALUE.match(word)]  # Hydra takes a quarter of a second.
-        return apply_overrides(composed(*(word for word in overrides if word not in values)), values)
-
-    return config
+    return lambda *overrides: copy.deepcopy(composed(*overrides))
 
 
 @pytest.fixture(scope="session")

@@ -115,7 +115,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         "scalars": part.scalars_part(ones, others),
         "digests": part.digests_part(ones, others),
         "checkpoints": _checkpoints_part(checkpoints),
-        **_whole_parts(a.run, b.run, span, settings),
+        **_whole_parts(a, b, span, settings),
     }
     parted = part.parting(ones, others)
     allowed = differences.allowing(environment) and not differences.forbidding(environment)
@@ -162,7 +162,7 @@ def _checkpoints_part(found: CheckpointComparison) -> Part:
     return Part(state, text.checkpoints_text(found), details)
 
 
-def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Change]) -> dict[str, Part]:
+def _whole_parts(a: Measured, b: Measured, span: Span, settings: list[Change]) -> dict[str, Part]:
     """Compare two runs' recordings, exported policies, and results if both runs ended after equally many iterations."""
     if not span.closed:
         why = "a run did not end by itself" if span.whole else "the runs have different lengths"
@@ -172,7 +172,7 @@ def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Ch
     recording = part.recording_part(a, b)
     if recording.state == "different" and options and "unreadable" not in recording.details:
         recording = Part("not compared", f"recorded with other options: {changes_text(options)}")
-    return {"recording": recording, "exported": exported_part(a, b), "results": part.results_part(a, b)}
+    return {"recording": recording, "exported": exported_part(a.run, b.run), "results": part.results_part(a.run, b.run)}
 
 
 def _verdict(

@@ -167,16 +167,18 @@ def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
     return Part("different", text, details)
 
 
-def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
+def recording_part(a: Measured, b: Measured) -> Part:
     """Compare the training recordings of two runs entity by entity, without texts and wall-clock times."""
-    ones, others = a.recording, b.recording
+    ones, others = a.run.recording, b.run.recording
     if not ones.exists() or not others.exists():
         owners = [side for side, path in (("A", ones), ("B", others)) if path.exists()]
         return Part("not compared", f"only {owners[0]} has a recording" if owners else "neither run has a recording")
     from wheelleg_exp.recording.reading.recording_digest import entity_digests
 
     sides: list[dict[str, str]] = []
-    for side, path in (("A", ones), ("B", others)):
+    for side, run, path in (("A", a, ones), ("B", b, others)):
+        if what := run.damage.get(path.name):  # A changed message can terminate the process that decodes it.
+            return Part("different", f"{side}'s recording {what}", {"unreadable": side})
         try:
             sides.append(entity_digests(path))
         except RunDirectoryError as error:
