@@ -57,7 +57,7 @@ class Child:
 
     The child process leads its own process group, so that Ctrl-C reaches only the parent process. After Ctrl-C, the
     parent process asks the job to stop after the current training iteration. ``ended`` is the last event of a job that
-    has ended; None for a running or killed job. ``open`` maps each open pipe to the pipe's unfinished last line.
+    has ended; None for a running or killed job. ``open`` maps each open pipe to the bytes of an incomplete last line.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Child:
         self.open = {self._output: b"", self._errors: b""}
         for pipe in self.open:
             os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError):  # Writing to a dead child process fails; `_events` reports its death.
+        with contextlib.suppress(OSError):  # The child process may be dead already; `_events` reports its death.
             self._input.write(request)
             self._input.flush()
 
@@ -163,7 +163,7 @@ def parse_event(line: str) -> Event | None:
 
 @contextmanager
 def job_events(child: Child, stop: StopRequest) -> Iterator[Iterator[Event]]:
-    """Yield an iterator over the events of a job; on exit, ask the job to stop, then interrupt it, then kill it.
+    """Yield an iterator over a job's events; on exit, stop the job by a request, then by a signal, then by killing it.
 
     The returned iterator raises ``Interrupted`` if the job was stopped, and a WheellegError if the job failed.
     """
@@ -199,7 +199,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
     act()
     deadline = time.monotonic() + patience_s
     while not child.over() and time.monotonic() < deadline:
-        for _ in listen([child], 0.05):  # A child process with a full output pipe ends only after the parent reads it.
+        for _ in listen([child], 0.05):  # A child process ends only after the parent has read its full output pipe.
             pass
 
 
@@ -209,7 +209,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
 class EventPipe:
     """An object that sends a job's events to the parent process, or drops them if the parent process has died.
 
-    ``reached`` is true if the job completed the requested work; a stop request is then not an interruption.
+    ``reached`` is true once the job has completed its work; a later stop request is not an interruption.
     """
 
     reached = False
@@ -227,7 +227,7 @@ class EventPipe:
 
 
 def serve_job(work: Callable[[EventPipe, bytes, StopRequest], None]) -> int:
-    """Run the job that the first line of standard input requests, and return the job's exit status."""
+    """Read a job's request from the first line of standard input, run the job, and return its exit status."""
     prepare_threads()
     descriptor = os.dup(1)
     os.dup2(2, 1)
@@ -263,10 +263,10 @@ def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
 
 
 class Worker:
-    """A module in a child process that answers pickled requests with bytes (see ``serve_requests``).
+    """A child process whose Python module answers pickled requests with bytes (see ``serve_requests``).
 
-    The child process first receives the startup data ``order``, and sends ``ready`` when it can answer requests.
-    ``errors`` is an empty file, to which the child process writes its standard error.
+    The child process first receives the startup data ``order``, and sends ``ready`` when it can answer requests. The
+    child process writes its standard error to the empty file ``errors``.
     """
 
     def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
@@ -299,7 +299,7 @@ class Worker:
         return lines[-1].strip() if lines else f"exit status {self._process.poll()}"
 
     def close(self) -> None:
-        """Close the pipes to the child process, and kill the child process if it does not end by itself."""
+        """End the child process: close its pipes, and kill the process if it keeps running."""
         for stream in (self._stdin, self._stdout):
             with contextlib.suppress(OSError):
                 stream.close()
@@ -315,9 +315,10 @@ class Worker:
 
 
 def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
-    """Answer requests in the process of a ``Worker`` until standard input ends.
+    """Answer, in a worker process, each request from standard input until the input ends.
 
-    The context manager ``prepare`` receives the startup data ``order``, and yields the function that answers requests.
+    ``prepare`` is a context manager that receives the worker's startup data and yields the function that answers
+    requests.
     """
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Libraries must print to standard error, because standard output carries the answers to requests.

@@ -20,9 +20,9 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 class Constraint:
     """A requirement that the value of an annotated parameter must satisfy.
 
-    An error message names ``form``, such as ``[low, high]``, instead of the name of the expected type. If ``broken`` is
-    not empty, an error message states ``broken`` instead of the text that the value is out of range. In an error
-    message, the constraint's ``text``, such as ``not empty``, follows the name of the expected type.
+    In error messages, ``form``, such as ``[low, high]``, replaces the name of the expected type. If ``broken`` is not
+    empty, it replaces the words ``VALUE is out of range`` in an error message. In error messages, the constraint's
+    ``text``, such as ``not empty``, follows the name of the expected type.
     """
 
     form: str = ""
@@ -135,7 +135,7 @@ class Targeted(Constraint):
 
 @dataclass(frozen=True)
 class Pattern(Constraint):
-    """The constraint that a regular expression matches a text completely; ``form`` describes valid texts."""
+    """The constraint that a whole text matches a regular expression; ``form`` describes valid texts for the user."""
 
     expression: str
     form: str
@@ -175,7 +175,7 @@ _RULES = "_relations"
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
     """Attach a rule between several parameters to a function or class.
 
-    The function ``rule`` gets the values of all parameters, after each value has met the constraints of its annotation.
+    ``rule`` is called with the values of all parameters, after the check of each single parameter.
     """
 
     def attach(target: _Target) -> _Target:

@@ -21,8 +21,8 @@ class Definition:
     """The definition of a reported number: its label, its unit, and its meaning.
 
     ``unit`` is empty for a ratio, a count, and a text. ``meaning`` states which episodes, environments, and steps a
-    reported number covers, and how the number is computed. If a reported number is a mean, ``of`` states the episodes
-    or steps over which the mean is computed.
+    reported number covers, and how the number is computed. For a mean, ``of`` states over which episodes or steps the
+    program averages.
     """
 
     label: str
@@ -72,7 +72,7 @@ TRAINING_ABOUT = (
     "episodes, and shorter ones. `*_per_step/…` has no such bias: every environment counts equally in every control "
     "step of the iteration. Command errors are sampled once per control step, after the resets of that step."
 )
-# This table defines TensorBoard scalars by key; <NAME> matches any name, and the first matching key is used.
+# SCALARS defines TensorBoard scalars by key. <NAME> in a key matches any name; the first matching key counts.
 SCALARS = {
     "Train/mean_reward": Definition("return, mean", "",
         f"Mean sum of rewards of {LAST}, of {_ALL}; not discounted.", LAST),
@@ -147,7 +147,7 @@ MANIFEST = {
         "no episode of the environment has ended."),
 }  # fmt: skip
 
-# The result of a training is the last value of each TensorBoard scalar whose key starts with a prefix in ENDED_AS.
+# ENDED_AS has key prefixes of TensorBoard scalars whose last values are the reported result of a training.
 ENDED_AS = (
     *("Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/"),
     *("Metrics_per_step/", "Episode_Metrics/"),
@@ -251,7 +251,7 @@ CONTACTS = {
 
 
 def rollout_label(key: str, settle_s: float | None) -> str:
-    """Return a reported number's label, which states the settling time ``settle_s`` (s) if the number excludes it."""
+    """Return a reported number's label, with a text such as ``after 1 s`` if the number skips the start of episodes."""
     if key in MOTION:
         return f"{MOTION[key].label}, {settled_window(settle_s)}"
     text = ROLLOUT[key].label
@@ -259,7 +259,7 @@ def rollout_label(key: str, settle_s: float | None) -> str:
 
 
 def settled_window(settle_s: float | None) -> str:
-    """Return the label text of a number that skips an episode's first ``settle_s`` seconds, such as ``after 1 s``."""
+    """Return a text such as ``after 1 s`` for a number that skips the first ``settle_s`` seconds of an episode."""
     if settle_s is None:
         return "once settled"
     return f"after {settle_s:g} s" if settle_s else "from the start"
@@ -288,7 +288,7 @@ DRIVE = {
 
 
 def drive_rows(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the reported numbers of an interactive drive as table rows of a label and a value."""
+    """Return table rows (label, value) about a session in which a user steers the robot."""
     found = []
     for key, definition in DRIVE.items():
         value = figures[key]
@@ -321,7 +321,7 @@ _WHOLE = {
     "mean_reward": Definition("return, mean", "",
         "Mean over the whole episodes of the sum of rewards, not discounted."),
 }  # fmt: skip
-# The outer keys of RECORDED are titles of tables that `wheelleg inspect` prints; the inner keys are JSON keys.
+# RECORDED maps the title of each table of `wheelleg inspect` to the table's columns or rows, by JSON key.
 RECORDED = {
     "samples": {
         "iterations": Definition("iterations", "", "Iterations of the sample's first and last frame."),
@@ -382,7 +382,7 @@ RECORDED = {
 
 
 def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:
-    """Return the headings of a table's columns ``keys`` with units; without ``keys``, return all headings."""
+    """Return the column headings of a table of ``wheelleg inspect``, with units; by default, of all columns."""
     return tuple(RECORDED[table][key].heading for key in keys or RECORDED[table])
 
 

@@ -17,7 +17,7 @@ EXIT_INTERRUPTED = 130
 _ODD = re.compile(r"[^\n\t -~]")
 # The Unicode categories of space characters that are harmless, although str.isprintable rejects them.
 _SPACES = ("Zs", "Zl", "Zp")
-# The minimum length of a wrong name for which an error suggests a longer valid name that contains the wrong name.
+# If a valid name contains a wrong name of at least 4 characters, the error message suggests the valid name.
 _LEAST_PART = 4
 
 
@@ -25,8 +25,9 @@ class WheellegError(Exception):
     """An error that the user can understand and that is printed without a traceback.
 
     ``message`` states the problem in one sentence without a full stop. ``key`` is the config key, USD prim, file or
-    command-line argument that ``message`` is about. ``where`` is the ``file:line`` of the wrong value, or the override
-    that sets the value. ``expected`` describes a valid value; ``nearest`` is the valid name nearest to the wrong one.
+    command-line argument that ``message`` is about. ``where`` is the place of the wrong value: ``file:line``, or a
+    command-line override. ``expected`` describes a valid value; ``nearest`` is the valid name most similar to a
+    misspelled name.
     """
 
     exit_code = EXIT_INPUT
@@ -77,7 +78,7 @@ class AssetError(WheellegError):
     """A robot file is unreadable or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return a copy of an AssetError with the key ``key``; the copy's message adds the old key and robot file."""
+        """Return a copy of this error with another ``key``; its message also names the old key and the robot file."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")

@@ -47,7 +47,7 @@ def for_people(path: Path, verb: str = "write") -> Iterator[None]:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """Convert a RunDirectoryError inside the ``with`` block to SimulationFailure, because the run has started."""
+    """Inside the ``with`` block, raise SimulationFailure instead of RunDirectoryError, because the run has started."""
     try:
         yield
     except RunDirectoryError as error:
@@ -103,7 +103,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def write_yaml(path: Path, value: Any) -> None:
-    """Write a plain value atomically as YAML that ``yaml.safe_load`` reads back equal."""
+    """Write a plain value atomically as YAML from which ``yaml.safe_load`` restores an equal value."""
     write_text(path, dump_yaml(value))
 
 
@@ -154,9 +154,9 @@ def _opened(path: str, flags: int) -> int:
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
     """Return the content of a file; raise an error if the file has more than ``largest`` bytes."""
     with open_file(path) as file:
-        size = os.fstat(file.fileno()).st_size  # Read the file's size first, because file.read(n) allocates n bytes.
+        size = os.fstat(file.fileno()).st_size  # file.read(n) allocates n bytes even for a smaller file.
         data = b"" if size > largest else file.read(size + 1)
-        if len(data) > size:  # The file contains more bytes than the size that fstat reports.
+        if len(data) > size:  # Files in /proc, for example, are longer than their reported size.
             data += file.read(largest + 1 - len(data))
     if max(size, len(data)) > largest:
         message = f"the file has more than {largest >> 20} MiB"
@@ -218,13 +218,13 @@ def sha256(path: Path) -> str:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return an unused name next to ``path`` for an incomplete file; ``temporaries`` finds such files."""
+    """Return an unused path next to ``path`` for a file while it is being written; ``temporaries`` finds such files."""
     return path.with_name(f".{path.name}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
 
 
 @contextlib.contextmanager
 def temporary_folder(target: Path) -> Iterator[Path]:
-    """Make a folder next to ``target`` for the ``with`` block to fill and rename; remove a folder that is not renamed.
+    """Make a temporary folder next to ``target``; remove it after the ``with`` block unless the block has renamed it.
 
     A killed process leaves its temporary folder behind. The next call of ``temporary_folder`` with the same ``target``
     removes each temporary folder that no running process has locked.
@@ -236,7 +236,7 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     folder.mkdir(parents=True)
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # Without locks in the file system, folders of killed processes remain.
+        with contextlib.suppress(OSError):  # On a file system without locks, folders of killed processes stay.
             stack.enter_context(_flocked(folder))
         yield folder
 

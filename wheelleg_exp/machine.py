@@ -1,8 +1,8 @@
 """The machine's limits: memory, and the cores and environment variables that CPU training uses.
 
 Environment variables such as MKL_CBWR make CPU training repeatable, and must be set before torch is imported. The
-memory that a config needs is estimated as a lower bound. If a config needs more memory than the machine has, an error
-names the config key before the process gets killed.
+program estimates a lower bound of the memory that a config needs. If a config needs more memory than the machine has,
+an error names the config key before the process gets killed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def require_memory(need: int, key: str, what: str) -> None:
 
 
 def used_memory(kind: str) -> int | None:
-    """Return a memory size of this process in bytes, by the size's name in ``/proc/self/status``; None if unknown."""
+    """Return an entry of ``/proc/self/status``, such as ``VmData``, in bytes; None if unknown."""
     try:
         text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{kind}:"))

@@ -1,10 +1,10 @@
 """Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The entry points of an installed
-project are read from its installed distribution. A project that is not installed is used if the current folder is in
-the project, or if ``--config-dir`` names the project. Hydra reads config files from the folder ``configs/`` of the
-user's project. A package that the user's project declares is imported if a config names a function or class of the
-package in ``_target_``. Packages that a project does not declare cannot be imported from the project.
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
+program reads the entry points from the installed distribution. A project that is not installed is found through the
+current folder or the option ``--config-dir``. Hydra reads config files from the folder ``configs/`` of the user's
+project. A package that the user's project declares is imported if a config names a function or class of the package in
+``_target_``. Packages that a project does not declare cannot be imported from the project.
 
 The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
 run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
@@ -30,7 +30,7 @@ from wheelleg_exp.paths import cache_dir
 
 
 def trust(folders: Iterable[Path]) -> None:
-    """Add the folders that the user has typed, and that exist, to the saved list of trusted folders.
+    """Add existing ``folders``, which the user named on the command line, to the saved list of trusted folders.
 
     If the list of trusted folders cannot be saved, each later command must name the folders with ``--config-dir``.
     """
@@ -148,7 +148,7 @@ def current_project() -> Project | None:
 def _require_own(project: Project) -> None:
     """Raise ConfigError if a project above the current folder belongs to a different user of the computer.
 
-    As in git, a user does not trust a folder only because the folder is the current folder.
+    As in git, the current folder is not trusted merely because the user works in it.
     """
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
@@ -209,7 +209,7 @@ def config_folder(folder: Path) -> Path:
 
 def installed_packages() -> tuple[str, ...]:
     """Return the names of the packages that installed distributions declare as callable from configs."""
-    from importlib import metadata  # To compose configs fast, import this slow module only in this function.
+    from importlib import metadata  # imported here, because an import at the top would slow down each command
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
@@ -229,8 +229,8 @@ def join(project: Project) -> None:
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
     """Allow configs to call functions of the user projects that contain ``folders`` (default: a run's config folders).
 
-    A config folder recorded in a run is used only if the folder exists, and belongs to the current project or is
-    trusted. Recorded config folders that are not trusted are ignored (see ``left_out``).
+    A run's recorded config folder is used only if it exists, and is trusted or part of the current project.
+    ``left_out`` lists the recorded config folders that are not used.
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:
@@ -242,14 +242,14 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
 
 
 def own_folders(recorded: Iterable[str]) -> list[Path]:
-    """Return those config folders recorded in a run that belong to a project in use or that the user trusts."""
+    """Return the recorded config folders of a run that the user trusts, or that belong to a project in use."""
     in_use = {real_path(project.configs) for project in _joined.values()}
     own = (folder for folder in recorded if real_path(folder) in in_use or is_trusted(folder))
     return [Path(folder) for folder in own if Path(folder).is_dir()]
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
-    """Map each config folder that a run recorded, but that is not in ``found``, to the reason why it is not used."""
+    """Map each unused config folder of a run to the reason, such as ``is gone``; the folders ``found`` are in use."""
     used = {real_path(folder) for folder in found}
     others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}

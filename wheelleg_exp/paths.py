@@ -9,9 +9,9 @@ from pathlib import Path
 from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 
 CACHE_KEY = "WHEELLEG_CACHE"  # environment variable
-# These folders next to a robot's MJCF file contain actuator networks and the terrain file.
+# ``NETWORKS`` (actuator networks) and ``GROUND`` (terrain file) are folders next to a robot's MJCF file.
 NETWORKS, GROUND = "networks", "ground"
-# These copies of other runs' files contain a training's teacher policy and initial networks.
+# copies of other runs' files, next to the MJCF: a training's teacher policy and initial networks
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -49,8 +49,8 @@ def cache_dir() -> Path:
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
     """Return the file that an asset path in a config names; AssetError lists the searched paths of a missing file.
 
-    A relative asset path is searched below each of the user's ``roots``, then below the stock assets. ``key`` is the
-    config key of the asset path; ``what`` names the type of file, such as robot file, in the error.
+    A relative asset path is searched below each of the user's ``roots``, then below the stock assets. An error names
+    the config key ``key`` and the type of file ``what``.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]

@@ -22,7 +22,7 @@ _MOST_NODES = 1_000_000  # after expanding aliases
 # A zip archive must unpack to at most _TIMES times its packed size plus _PACKED_ROOM bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
 _MOST_BITS = 1023  # An integer of at most 1023 bits can be converted to a float.
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # These characters can start a nested value in YAML.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # Nested values in YAML start with one of these characters.
 
 
 class Unreadable(ValueError):
@@ -143,7 +143,7 @@ _SCALARS = (str, int, float, bool, type(None))
 # PyYAML reads a matching word as text, but YAML 1.2 readers and OmegaConf read the word as a number.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
-# PyYAML writes these line-end characters unchanged in single quotes, but reads them as spaces.
+# PyYAML writes rare line ends such as U+2028 unchanged in single quotes, but reads line ends as spaces.
 _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 
@@ -162,7 +162,7 @@ _PlainDumper.add_representer(str, _represent_text)
 
 
 def dump_yaml(value: Any) -> str:
-    """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
+    """Return ``value`` as YAML text from which ``yaml.safe_load`` restores an equal value.
 
     ``value`` can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
     value raises RunDirectoryError. Numpy scalars, enumerations, and instances of subclasses of ``dict``, ``list``,
@@ -175,7 +175,7 @@ def dump_yaml(value: Any) -> str:
 
 
 def require_plain(value: Any, path: str = "") -> None:
-    """Raise RunDirectoryError if ``dump_yaml`` rejects a part of ``value``; the error contains the key of this part."""
+    """Raise RunDirectoryError, with the key of the wrong element, if ``dump_yaml`` cannot write ``value``."""
     if type(value) is dict:
         for key, item in value.items():
             if type(key) not in (str, int):

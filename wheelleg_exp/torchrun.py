@@ -26,4 +26,4 @@ def require_alone(what: str) -> None:
     """Raise ConfigError if torchrun has started several processes for a job that needs exactly one process."""
     if world_size() > 1:
         expected = "'wheelleg train' of one run, or 'wheelleg resume'; or this command without torchrun"
-        raise ConfigError(f"torchrun has started {world_size()} processes for this job", key=what, expected=expected)
+        raise ConfigError(f"torchrun has started {world_size()} processes instead of one", key=what, expected=expected)

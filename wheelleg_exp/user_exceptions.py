@@ -16,8 +16,8 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
     """Inside the ``with`` block, convert an exception that would end the program to an error of the class ``kind``.
 
-    ``SystemExit``, and a ``KeyboardInterrupt`` that user-defined code raised, would end the program. The error of the
-    class ``kind`` names the original exception, and the file and line of the code that raised it.
+    ``SystemExit`` or ``KeyboardInterrupt`` from user-defined code would end the program. The error of the class
+    ``kind`` names the original exception, and the file and line of the code that raised it.
     """
     try:
         yield
@@ -66,4 +66,4 @@ def importing(what: str) -> Iterator[None]:
             setattr(sys, stream, own)
     closed = [stream for stream, own in streams.items() if getattr(own, "closed", False)]
     if closed:
-        raise ConfigError(f"the import of '{what}' closes the program's {closed[0]}", expected="open streams")
+        raise ConfigError(f"the import of '{what}' closes the standard stream {closed[0]}", expected="open streams")

@@ -111,7 +111,7 @@ def test_a_module_that_closes_standard_output_is_refused(pet):
     err = io.StringIO()
     with redirect_stdout(io.StringIO()), redirect_stderr(err):
         assert main(["check", *words]) == 2
-    assert "cannot import 'pet.terms': the import of 'pet.terms' closes the program's stdout" in err.getvalue()
+    assert "cannot import 'pet.terms': the import of 'pet.terms' closes the standard stream stdout" in err.getvalue()
 
 
 @pytest.mark.train

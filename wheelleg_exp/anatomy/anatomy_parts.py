@@ -19,7 +19,7 @@ Side = Literal["left", "right", "middle"]
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel that can carry the robot's weight."""
+    """One wheel of a robot: its joint, links, shape, ground contact, and motor."""
 
     joint: str  # the name of the hinge on which the wheel turns
     body: str  # the name of the wheel's link; ``bodies`` also has the links that are fixed to the wheel
@@ -31,18 +31,18 @@ class Wheel:
     roundness: float  # the wheel's smallest radius divided by its largest radius; 1 for a perfect circle
     contact: Vec3  # the point at which the wheel touches level ground, m
     side: Side  # the side of the robot (left, right, or middle) on which the wheel is
-    sign: int  # A positive speed of the wheel's joint drives forwards (+1), backwards (-1), or sideways (0).
+    sign: int  # +1 if a positive joint speed rolls the wheel forwards, -1 if backwards, 0 if sideways
     driven: bool  # whether a motor drives the wheel; false for a caster
     stands: bool  # whether the wheel touches level ground on which the robot stands
     steered: bool  # whether a vertical hinge without limits steers the wheel, as in a swerve drive
-    # ``caster`` is true if the wheel trails a steering axis without motor; false if this holds for all wheels.
+    # A caster is a wheel behind a steering hinge without motor; if all wheels are like this, ``caster`` is false.
     caster: bool
     why: str  # a text for the user: the reason why the link counts as a wheel
 
 
 @dataclass(frozen=True)
 class Leg:
-    """The chain of ``joints`` from the base to a wheel, without the wheel's joint; ``passive`` joints have no motor.
+    """The joints between the robot's base and a wheel; the joints in ``Leg.passive`` have no motor.
 
     ``Leg.beside`` names a leg's joints that are not between the base and a wheel, usually one half of a closed loop.
     ``Leg.loops`` names the MuJoCo equality constraints that close kinematic loops in a leg.
@@ -59,8 +59,9 @@ class Leg:
 class MirroredPair:
     """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
-    The mirror image of ``left`` at position q is ``right`` at position ``sign`` · q. ``offset`` is the distance, m,
-    and ``tilt`` the angle, rad, between the right joint's axis and the mirrored axis of the left joint.
+    If the joint ``left`` is at position q, its mirror image is the joint ``right`` at position ``sign`` · q. The
+    mirrored axis of the left joint differs from the right joint's axis by the distance ``offset`` (m) and the angle
+    ``tilt`` (rad).
     """
 
     left: str
@@ -84,14 +85,14 @@ class Anatomy:
     forward: Vec3 | None
     left: Vec3 | None  # the horizontal unit vector to the left of the robot's forward direction
     up: Vec3  # against gravity
-    middle: Vec3  # a point of the mirror plane between the left and right sides, m
+    middle: Vec3  # a point on the plane between the robot's left and right halves, m
     mirrored: tuple[MirroredPair, ...]  # the pairs of joints that are mirror images, with the left joint first
-    unmatched: tuple[str, ...]  # the joints that have no mirror image
+    unmatched: tuple[str, ...]  # names of the joints without a mirror image on the robot's other side
     # ``support_height`` is the height of the wheel contacts above the base frame's origin, m, so usually negative.
     support_height: float | None
     support_width: float  # the largest distance between two wheel contacts along the robot's left axis, m
     support_length: float  # the largest distance between two wheel contacts along the forward axis, m
-    near: dict[str, str]  # ``near`` maps a joint that lacks one property of a wheel's joint to the missing property.
+    near: dict[str, str]  # maps joints that almost qualify as wheel joints to the reason why they do not
 
     @property
     def wheel_joints(self) -> list[str]:
@@ -163,7 +164,7 @@ class Tree:
         return list(range(start, start + int(self.model.body_jntnum[body])))
 
     def chain(self, body: int) -> list[int]:
-        """Return the joints from the base to a body, from the base outwards, without the joints of the base."""
+        """Return the joints between the base and a body, nearest to the base first, without the base's own joints."""
         found: list[int] = []
         while body not in (self.base, 0):
             found = self.joints_of(body) + found

@@ -28,15 +28,15 @@ def colliders(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> float:
-    """Return the height in the world of the lowest point of the bodies' colliding shapes, m; inf without shapes."""
+    """Return the world height (m) of the lowest point of the bodies' colliders; inf if the bodies have no colliders."""
     down = np.array([[0.0, 0.0, -1.0]])
     return -float(reach(model, data, colliders(model, bodies), np.zeros(3), down)[0])
 
 
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
-    """Return how far shapes extend from a point in each direction, m, (n,); -inf without shapes.
+    """Return how far the shapes ``geoms`` extend from ``origin`` in each direction, m, (n,); -inf without shapes.
 
-    ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in the world frame.
+    The point ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in world coordinates.
     """
     farthest = np.full(len(directions), -math.inf)
     for geom in geoms:
@@ -61,13 +61,13 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
     int(_GEOM.mjGEOM_CYLINDER): lambda size, d: size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2]),
     int(_GEOM.mjGEOM_BOX): lambda size, d: np.abs(d) @ size,
     int(_GEOM.mjGEOM_ELLIPSOID): lambda size, d: np.linalg.norm(size * d, axis=1),
-    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # ``_extent`` computes the reach of a mesh.
+    int(_GEOM.mjGEOM_MESH): lambda _, d: np.zeros(len(d)),  # ``_extent`` computes how far meshes extend.
 }
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two bodies, the parent first, whose colliders overlap; a motion by ``depth``, m, would separate them.
+    """Two bodies, the parent body first, whose colliders penetrate each other by ``depth`` (m).
 
     The attribute ``neighbours`` of an overlap is true if a joint connects the overlapping bodies. The attribute
     ``acts`` of an overlap is true if MuJoCo detects contacts between the overlapping bodies.
@@ -90,7 +90,7 @@ def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str
     solid = colliders(model, bodies)
     free.geom_contype[:] = free.geom_conaffinity[:] = 0
     free.geom_contype[solid] = free.geom_conaffinity[solid] = 1
-    # Set the collision bits of all bodies, too, because MuJoCo first filters contacts by these bits.
+    # MuJoCo filters contacts first by the collision bits of bodies, then by those of geoms.
     free.body_contype[:] = free.body_conaffinity[:] = 1
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     pairs = sorted(_depths(free, qpos, bodies).items(), key=lambda item: -item[1])

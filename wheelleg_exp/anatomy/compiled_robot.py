@@ -23,7 +23,7 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # A default joint position outside the limits moves inside by 25 % of the joint's range.
+_INSIDE = 0.25  # A default position outside the limits is moved inside, 25 % of the joint's range away from the limit.
 _OFF = 0.02  # A default joint position is at least 2 % of the joint's range away from the joint's limits.
 
 
@@ -31,8 +31,8 @@ _OFF = 0.02  # A default joint position is at least 2 % of the joint's range awa
 class Drive:
     """The actuator of one joint: kp, N·m/rad, kd, N·m·s/rad, largest torque, N·m, and largest speed, rad/s.
 
-    The drive's gains are NaN if an actuator network computes the torque. An ``explicit`` drive computes the torque
-    before each physics step.
+    ``stiffness`` and ``damping`` are NaN if a neural network computes the actuator's torque. An ``explicit`` drive
+    computes the torque before each physics step.
     """
 
     group: str
@@ -52,7 +52,7 @@ class Joint:
     low: float
     high: float
     armature: float  # reflected rotor inertia, kg·m²
-    inertia: float  # inertia of all links behind the joint about the joint's axis, kg·m², without armature
+    inertia: float  # inertia about the joint's axis of all links that the joint moves, kg·m², without armature
     effective: float  # the effective inertia at the joint while all other joints are free, kg·m², with armature
     hold: float  # the joint torque that carries the robot's weight at rest, N·m
     drive: Drive | None  # its actuator, or None
@@ -68,9 +68,9 @@ class Balance:
     """The inverted pendulum that is equivalent to a robot on one axle.
 
     ``mass``, kg, and ``inertia`` about the axle, kg·m², are those of the robot without its wheels. ``height``, m, is
-    the distance from the axle to the centre of mass of the robot without its wheels. If all wheel joints are locked,
-    the robot rolls like one rigid body, and its tilt grows at the exponential rate ``pole``, rad/s. If the axle is
-    fixed in space, the robot's tilt grows at the exponential rate ``pendulum`` = sqrt(m g h / I), rad/s.
+    the distance from the axle to the centre of mass of the robot without its wheels. With locked wheel joints, the
+    whole robot tips over like one rigid body, at the exponential rate ``pole``, rad/s. With a fixed axle, the robot
+    tips over at the exponential rate ``pendulum`` = sqrt(m g h / I), rad/s.
     """
 
     mass: float
@@ -160,7 +160,7 @@ def _joints(
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     inverse = np.linalg.inv(matrix)
-    # ``hold`` has the joint torques (nv,) that hold the default pose, if all wheels carry equal shares of the weight.
+    # ``hold`` (nv,): the joint torques that keep the robot in its default pose, with equal weight on all wheels
     hold = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
     # The z row of the Jacobian of a wheel's lowest point converts the ground's vertical force to joint torques.
@@ -228,8 +228,9 @@ def _inertia_about(model: mujoco.MjModel, data: mujoco.MjData, body: int, point:
 class CompiledRobot:
     """A robot in its compiled scene; ``data`` is at the start of episodes, with all derived quantities computed.
 
-    ``drawn`` contains the robot's parts in the pose of the robot file, with all joints at zero. ``anatomy`` contains
-    the robot's parts at the start of episodes. ``report`` is the conversion report; None for an MJCF file.
+    ``drawn`` describes the robot's wheels and legs in the pose of the robot file, with all joints at zero. ``anatomy``
+    describes the wheels and legs at the start of episodes. ``report`` is the report of the conversion from USD or URDF;
+    None if the robot file is an MJCF file.
     """
 
     model: mujoco.MjModel
@@ -251,8 +252,8 @@ class CompiledRobot:
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
     """Return a copy of a MuJoCo model with the limits that the robot's URDF states for continuous joints.
 
-    In the given MuJoCo model, limits of continuous joints have no effect. The last joint of a kinematic chain gets no
-    limits, because this joint can be the joint of a wheel.
+    The given ``model`` has no limits for continuous joints. The last joint of a kinematic chain stays unlimited,
+    because it can be a wheel's joint.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -265,10 +266,10 @@ def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.
 def compiled_robot(
     model: mujoco.MjModel, robot: Robot, report: Report | None = None, driven: Collection[str] | None = None
 ) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a compiled scene, and the facts that are measured on this robot.
+    """Return the robot of a compiled scene, and measured facts such as its mass and wheel radius.
 
-    ``driven`` contains the joints that have a drive in the robot file, or is None if no joint has a drive. The argument
-    ``driven`` (the joints with a motor) has no effect if the robot's config defines actuators.
+    ``driven`` names the joints that have a motor in the robot file; None means that no joint has a motor. ``driven``
+    has no effect if the robot's config defines actuators.
     """
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None
@@ -300,7 +301,7 @@ def default_position(dof: Dof) -> float:
 
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return an ``env.robot`` section without actuators; ``positions`` maps joints to default positions, rad (m)."""
+    """Return the config section ``env.robot`` without actuators; ``positions`` are default joint positions, rad (m)."""
     joint_pos = {name_expression(joint): value for joint, value in positions.items()}
     state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
     settings: dict[str, Any] = {
@@ -313,10 +314,7 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
 
 
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
-    """Return a text that names colliders and wheels whose mesh files are missing or damaged.
-
-    ``missing_colliders`` returns an empty text if no file that contains colliders is missing or damaged.
-    """
+    """Return a text that names colliders and wheels with missing or damaged mesh files; empty if there are none."""
     files = {match[1]: match[2] for text in report.warnings if (match := LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]
     if any(item.kind == "no_colliders" for item in report.findings):

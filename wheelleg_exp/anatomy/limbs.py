@@ -29,10 +29,10 @@ _AROUND = 48
 class Found:
     """The hinge and the shape of a part that may be a wheel, in the world frame, m.
 
-    The hinge ``joint`` moves ``bodies``. ``centre`` is the centre of the wheel's colliders, on the hinge's axis.
-    ``radius`` is the largest extent of the wheel's colliders across the hinge's axis. ``roundness`` is the smallest
-    extent of the wheel's colliders across the hinge's axis, divided by ``radius``. ``off_axis`` is the distance from
-    the hinge's axis to the axis of the colliders' outline, or 0 if this outline is not round.
+    The hinge ``joint`` moves ``bodies``. ``centre`` is the point on the hinge's axis midway between the two sides of
+    the wheel's colliders. ``radius`` is the wheel's largest radius about the hinge's axis. ``roundness`` is the wheel's
+    smallest radius divided by its largest radius. ``off_axis`` is the distance of a round wheel's own axis from the
+    hinge's axis; 0 for colliders that are not round.
     """
 
     joint: int
@@ -47,13 +47,13 @@ class Found:
 
 
 def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
-    """Return the hinges of wheels, and the joints that lack only one property of a wheel, with the missing property."""
+    """Return the wheels, and map joints that almost qualify as wheel joints to the reason why they do not."""
     found, near = [], {}
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
-    highest = -down + _LOW * (top + down)  # A wheel's lowest point is not above ``highest``, m.
+    highest = -down + _LOW * (top + down)  # the largest height of a wheel's lowest point, m
     for joint in tree.joints:
-        # A wheel's joint is a horizontal hinge, and no other joint moves the same body or a body behind it.
+        # A wheel's joint is a horizontal hinge and the last joint of its kinematic chain.
         body = int(tree.model.jnt_bodyid[joint])
         last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
         if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
@@ -97,7 +97,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
     # ``off_axis`` is the distance of the centre of a wheel's round outline from the wheel's hinge axis, m.
-    # A circle off the axis reaches as far as its radius plus a cosine of the direction, the first harmonic.
+    # The outline of a shifted circle is its radius plus a cosine, whose amplitude is the shift.
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     off_axis = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -108,7 +108,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
 
 
 def _where_its_shape_is(shape: Found) -> str:
-    """Return why a link's colliders are not those of a wheel, although the link has a wheel's mass distribution."""
+    """Explain, for a link with a wheel's mass distribution, why its colliders do not have the shape of a wheel."""
     if shape.off_axis > _OFF_AXIS * shape.radius:
         return f"its colliders are round about a line {1e3 * shape.off_axis:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
@@ -132,14 +132,14 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
         offset = data.xipos[body] - centre
         inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
         inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    cross = np.linalg.svd(shape.axis[None])[2][1:]  # The rows of ``cross`` are perpendicular to the axle.
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # two unit vectors perpendicular to the axle, as rows
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints that the model's actuators drive; without actuators, all joints except mimic joints."""
+    """Return the joints with actuators; if the model has no actuators, return all joints except mimic joints."""
     followers = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)].tolist())
     through = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     moved = {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if int(model.actuator_trntype[i]) in through}
@@ -155,7 +155,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
-    # ``found`` lists the MuJoCo equality constraints between two bodies of the robot: a name and two body indices.
+    # ``found`` lists the name and both body indices of each MuJoCo equality constraint between robot bodies.
     model, found = tree.model, []
     for index in range(model.neq):
         if int(model.eq_type[index]) not in _HOLDS:
@@ -166,7 +166,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     closures = found
-    # ``limbs`` maps each body index, except bodies that are fixed to the base, to all body indices of the same limb.
+    # ``limbs`` maps each body that moves relative to the base to the set of all bodies of the same limb.
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
     links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
@@ -186,9 +186,9 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     return legs
 
 
-_APART = 0.15  # A joint of a mirrored pair is at most 15 % of the robot's size away from its partner's mirror image.
+_APART = 0.15  # Mirrored joints deviate from exact symmetry by at most 15 % of the robot's size.
 _TILTED = math.radians(30)
-_MIDDLE = 0.01  # A left joint is at most 1 % of the robot's size on the right of the mirror plane.
+_MIDDLE = 0.01  # A left joint may be to the right of the mirror plane by at most 1 % of the robot's size.
 
 
 def find_mirrored(
@@ -197,8 +197,8 @@ def find_mirrored(
     """Return the pairs of mirrored joints, and the joints without a mirror image.
 
     The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
-    ``size`` is the size of the robot, m. ``wheels`` maps wheel joints to the centres of the wheels, m, which are more
-    precise than the anchors of the joints.
+    ``size`` is the longest edge of the robot's bounding box, m. ``wheels`` maps wheel joints to the centres of the
+    wheels, m, which are more precise than the anchors of the joints.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
@@ -211,8 +211,8 @@ def find_mirrored(
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
                 # ``tilt`` is the angle between the first joint's mirrored axis and the second joint's axis, rad.
-                # ``sign`` is -1 if a positive motion of one joint mirrors a negative motion of the second joint.
-                # A mirror matrix M turns a rotation about the axis a into an equal rotation about the axis -M a.
+                # ``sign`` is 1 if equal joint positions are mirror images, and -1 if opposite positions are.
+                # Reflected by a matrix M, a rotation about the axis a becomes the same rotation about the axis -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

@@ -15,11 +15,11 @@ from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
 
 _PARALLEL = 0.9  # A robot has a forward direction if at least about 90 % of its axles are parallel.
-# A wheel that rolls more than 60° away from the forward and backward directions gets the sign 0.
+# ``Wheel.sign`` is 0 for a wheel that rolls at more than 60° to the robot's forward axis.
 _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # A middle wheel is at most 5 % of the track width away from the robot's middle.
 _LEVEL_WITH = 0.03  # A wheel that carries weight is at most 3 % of the robot's size higher than the lowest wheel.
-_AHEAD = 0.3  # If |x| of the forward direction (x, y, z) is below 0.3, y or z determines the sign instead of x.
+_AHEAD = 0.3  # In the forward direction (x, y, z), the first component with a size of at least 0.3 is positive.
 _TRAILS = 0.1  # A caster's ground contact is at least 10 % of the wheel radius away from the steering axis.
 
 
@@ -30,9 +30,9 @@ def anatomy_of(
 
     A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
     horizontal, and is the last joint of the kinematic chain. A wheel's colliders are near the ground and round about
-    the hinge's axis (or nearly round, if the mass distribution is that of a wheel). ``driven`` are the joints with a
-    motor: by default the joints with actuators in the model, or all joints if the model has no actuators. If the robot
-    has no actuators and ``driven`` is None, only geometry decides which wheels are casters.
+    the hinge's axis. Nearly round colliders suffice if the link has a wheel's mass distribution. ``driven`` are the
+    joints with a motor: by default the joints with actuators in the model, or all joints if the model has no actuators.
+    Without actuators and without ``driven``, only geometry decides which wheels are casters.
     """
     data = mujoco.MjData(model)
     if qpos is not None:
@@ -70,7 +70,7 @@ def anatomy_of(
 
 @dataclass(frozen=True)
 class _Axles:
-    """The rolling directions and contact points of all wheels in the world frame, in the order of the wheels."""
+    """The robot's size and directions, and contact, steering joint, and type of each wheel, in world coordinates."""
 
     size: float
     forward: Array | None
@@ -143,7 +143,7 @@ def _steering_joint(tree: Tree, wheel: int) -> int | None:
 
 
 def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
-    """Return whether a wheel's ground contact is ahead of or behind the wheel's steering axis."""
+    """Return whether a wheel touches the ground in front of or behind its steering axis, as a caster does."""
     offset = (wheel.centre - tree.data.xanchor[steering]) @ np.cross(wheel.axis, tree.up)
     return abs(float(offset)) > _TRAILS * wheel.radius
 
@@ -185,10 +185,7 @@ def _span(points: Sequence[Array], direction: Array | None) -> float:
 def _mirrored(
     tree: Tree, wheels: Sequence[Found], left: Array | None, size: float
 ) -> tuple[Array, list[MirroredPair], list[str]]:
-    """Match joints with mirror images across the middle of the base or of the wheels, and return the better match.
-
-    Return a point of the mirror plane in world coordinates, m, (3,), the mirrored pairs, and the unmatched joints.
-    """
+    """Return a point of the mirror plane (world, m), the mirrored pairs of joints, and the joints without a partner."""
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
     # Try two mirror planes, through the base's origin and midway between the wheels, and use the one with more pairs.
     middles = [origin]

@@ -27,22 +27,22 @@ _STRETCHED, _CROUCHED = 0.93, 0.35
 _STANDS = (0.8, 0.55)
 _CLEARANCE = 0.5  # All bodies except wheels should be at least half a wheel radius above the ground.
 _REACH = math.pi  # The search for a standing pose rotates a joint without limits by at most pi rad.
-_BALANCED = 5e-3  # A robot is balanced if its centre of mass is within 0.5 % of the robot's size of the axle.
+_BALANCED = 5e-3  # In a balanced pose, the centre of mass is above the axle, up to 0.5 % of the robot's size.
 _TOUCHES = 2e-3  # A wheel touches the ground if it is at most 0.2 % of the robot's size higher than the lowest wheel.
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
 @dataclass(frozen=True)
 class Stance:
-    """A standing pose of a robot, and its properties."""
+    """A standing pose of a robot: joint positions, height, balance, and ground contact."""
 
-    positions: dict[str, float]  # the leg joints' positions by name, rad (m for slide joints)
-    height: float  # the mean height of the hips above the wheels, m; ``tallest`` is its largest possible value, m
+    positions: dict[str, float]  # positions of the leg joints by joint name, in rad (slide joints: m)
+    height: float  # mean height of the hips above the wheels, m; ``tallest`` is the largest possible height, m
     offset: float  # the distance by which the centre of mass is in front of the middle of the wheel contacts, m
     # ``lean`` is the base's pitch that would balance the robot, rad (positive: front down); 0 with several axles.
     lean: float
     tallest: float
-    balanced: bool  # whether the centre of mass is above the middle of the wheel contacts
+    balanced: bool  # whether the robot's centre of mass is above the middle of the wheels' contact points
     grounded: bool  # whether all wheels that should carry the robot touch level ground
 
 
@@ -50,8 +50,8 @@ def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] 
     """Find a robot's standing pose near a given pose; None if the robot has no parallel wheel axles or no leg joints.
 
     The base keeps the orientation of the given pose, and only the legs' joints move. ``mujoco.minimize`` solves a
-    nonlinear least-squares problem from several starts. All wheels must touch the ground; if no such pose exists, only
-    those wheels that touch the ground in the given pose must touch it.
+    nonlinear least-squares problem from several starts. All wheels touch the ground in the standing pose. If the legs
+    cannot reach such a pose, wheels that are above the ground in the given pose may stay in the air.
     """
     if anatomy.forward is None:
         return None
@@ -132,7 +132,7 @@ class _Problem:
         return np.array([data.xpos[body] + data.xmat[body].reshape(3, 3) @ centre for body, centre in placed])
 
     def _height(self) -> float:
-        """Return the height of the hips, the first joints of the legs, over the wheels' centres, m."""
+        """Return the height of the hips (first leg joints) above the wheels' centres, m."""
         hips = np.mean([self.data.xanchor[joint] for joint in self.hips], axis=0)
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
@@ -173,13 +173,13 @@ class _Problem:
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
-        low = -lowest_point(self.model, data, self.raised)  # ``lowest_point`` measures along the world's z axis.
+        low = -lowest_point(self.model, data, self.raised)
         low = ground + low if math.isfinite(low) else -math.inf
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
-        # Errors of kinematic loops get the largest weight, 1000, and changes of the initial pose the smallest, 0.5.
-        # Balance errors get the weight 20 instead of 200 if the robot cannot fall, because it has several axles.
+        # Open kinematic loops cost most (weight 1000); changes of the initial pose cost least (weight 0.5).
+        # A robot with several axles cannot fall, so its balance error has the weight 20 instead of 200.
         sides = [centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")]
         # ``askew`` is the distance by which the left wheels are in front of the right wheels, m.
         askew = float((sides[0].mean(axis=0) - sides[1].mean(axis=0)) @ self.forward) if all(map(len, sides)) else 0.0
@@ -198,7 +198,7 @@ class _Problem:
         return np.array(errors)
 
     def _clearances(self, centres: Array) -> Array:
-        """Return the heights of the wheels' lowest points minus the mean of these heights, m, (wheels,)."""
+        """Return how much higher each wheel's lowest point is than the average of all wheels, m, (wheels,)."""
         lows: Array = centres @ self.up - self.radii
         return lows - lows.mean()
 
@@ -217,7 +217,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Make a leg pose exactly symmetric, unless this raises its cost by 0.05 or more, or violates joint limits."""
+        """Return a symmetric copy of a leg pose, or the pose itself if the copy costs 0.05 more or violates limits."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2

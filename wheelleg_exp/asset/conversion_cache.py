@@ -34,8 +34,8 @@ from wheelleg_exp.terms.config_values import require_fit
 def find_extra_files(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot file.
 
-    An ``env`` section can name actuator networks and a terrain file. Each key of the returned dict is the path of a
-    file's copy in the MJCF's folder, and the value is the original file. ``roots`` are user-defined asset folders.
+    An ``env`` section can name actuator networks and a terrain file. The returned dict maps the path of each file's
+    copy in the MJCF's folder to the original file. ``roots`` are user-defined asset folders.
     """
     groups = env["robot"].get("actuators")
     named = [
@@ -62,8 +62,8 @@ _ATTEMPTS = 3  # attempts per cache entry
 class CachedConversion:
     """An MJCF in the cache.
 
-    ``sources`` maps the path of each source file of the robot, relative to the robot file's folder, to the file's
-    sha256. ``fresh`` is false if the cache already contained the robot's MJCF.
+    ``sources`` maps each source file's path, relative to the robot file's folder, to the file's sha256. ``fresh`` is
+    false if the MJCF was already in the cache.
     """
 
     output: Path

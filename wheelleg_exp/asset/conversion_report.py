@@ -57,7 +57,7 @@ def is_placeholder(value: float) -> bool:
 def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
     """Return why a robot's mass (kg) and longest edge (m) are implausible; an empty string if they are plausible.
 
-    ``lightest``, kg/m³, is the smallest plausible quotient of the robot's mass and the cube of its longest edge.
+    ``lightest`` (kg/m³) is the smallest plausible density: the robot's mass divided by the cube of its longest edge.
     """
     density = mass / size**3 if size > 0 else math.nan
     if not lightest <= density <= DENSITIES[1]:
@@ -67,7 +67,7 @@ def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> st
 
 @dataclass(frozen=True)
 class Verdict:
-    """The quality of a conversion; the level ``check`` means that the user should read the conversion's warnings."""
+    """How well a robot file was converted; at the level ``check``, the user should read the conversion's warnings."""
 
     level: Literal["good", "check", "doubtful"]
     reasons: tuple[str, ...] = ()
@@ -77,7 +77,7 @@ MUCH = 0.1  # share of the mass
 
 
 def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
-    """Return the quality of a conversion; ``assumed_share`` is the share of the mass that the converter assumed."""
+    """Rate a conversion; ``assumed_share`` is the share (0 to 1) of the robot's mass that the robot file lacks."""
     count = Counter(item.kind for item in findings)
     gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
@@ -139,8 +139,8 @@ class Report:
 
     ``layers`` maps each source file of the robot to the sha256 of that file. ``velocity_limits`` gives each degree of
     freedom's velocity limit in rad/s (m/s). A controller needs velocity limits, but an MJCF file cannot contain
-    velocity limits. ``values`` are the numbers of the converted robot, such as masses and limits, from ``values_of``.
-    ``authored`` maps each joint's path to the joint's numbers in the robot file, in the file's units.
+    velocity limits. ``values`` contains the converted robot's masses, joint limits, and other numbers, from
+    ``values_of``. ``authored`` maps each joint's path to the joint's original numbers, in the units of the robot file.
     """
 
     source: str
@@ -167,7 +167,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """The quality of the conversion, judged by its findings and warnings."""
+        """How well the robot file was converted, judged by missing or implausible parts and by warnings."""
         return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
 
     def to_json(self) -> str:

@@ -43,9 +43,9 @@ def convert(
 ) -> Conversion:
     """Convert a USD or URDF file to MJCF. The folder of the meshes is ``<output's stem>_meshes``.
 
-    With ``base`` equal to ``floating``, the robot gets no fixed joint to the world; with ``fixed``, the robot gets no
-    free joint; with ``auto``, the robot file decides, and a URDF robot floats. ``variants`` maps each USD variant set
-    to the name of the selected variant. An existing output is replaced.
+    The ``base`` mode ``floating`` removes fixed joints to the world, and ``fixed`` removes the root's free joint. The
+    mode ``auto`` keeps joints to the world as in the robot file; a URDF robot without such a joint floats. ``variants``
+    maps each USD variant set to the name of the selected variant. An existing output is replaced.
     """
     source, output = Path(source), Path(output)
     try:
@@ -109,7 +109,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         return robot, report
     frame, turned = Frame.of(root.pose), list[Body]()
     for body, child in pairwise(path):
-        # A massless root link and its child swap the roles of parent and child, so the pose between them is inverted.
+        # The massless root link becomes the child of its former child, so the pose between them is inverted.
         inside = Frame.of(child.pose)
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside
@@ -162,7 +162,7 @@ def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjMod
 
 
 def mesh_folder(output: Path) -> Path:
-    """Return the path of the folder for an MJCF's mesh files."""
+    """Return the path of the folder that contains the mesh files of the MJCF file ``output``."""
     return output.with_name(output.stem + MESHES)
 
 

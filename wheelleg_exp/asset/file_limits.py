@@ -60,8 +60,8 @@ def require_plain_file(
 ) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    ``expected`` describes a valid file in the error message. ``key`` is the USD prim or XML element that refers to
-    ``path``. ``where`` is the file that contains the USD prim or XML element ``key``.
+    ``expected`` is the error message's description of a valid file, such as ``a layer of USD``. ``key`` is the USD prim
+    or XML element that refers to ``path``. ``where`` is the file that contains the USD prim or XML element ``key``.
     """
     problem = _problem_of(path, largest)
     if problem:
@@ -93,8 +93,8 @@ _open: list[tuple[int, int]] = []  # limits before each conversion
 def bounded_memory(source: Path) -> Iterator[None]:
     """On Linux, limit this process to 8 GiB more memory than it uses at the time of the call.
 
-    A damaged USD crate file of a few bytes can declare an array of two thousand million numbers, and the USD library
-    allocates the array before it checks the file. The memory limit applies to all threads of the process.
+    A tiny damaged USD crate file can declare a huge array, which the USD library allocates before it checks the file.
+    The memory limit applies to all threads of the process.
     """
     require_room()
     with _lock:

@@ -19,9 +19,9 @@ FALLS = "no shape of the robot collides: it falls through any ground"
 
 
 def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
-    """Warn about a robot without colliders, and record each limb whose last body has no collider.
+    """Warn if a robot has no colliders; record each end of a limb, such as a foot or a hand, without a collider.
 
-    The last body of a limb is a group of welded bodies without moving children, such as a foot, a wheel, or a hand.
+    The end of a limb is a group of welded bodies without moving child bodies.
     """
     if not robot.colliders:
         ledger.find("no_colliders", robot.name, "")
@@ -44,7 +44,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
-    """Yield a finding ``implausible_size`` with the mass and size of each root body that has joints and colliders.
+    """Measure each root body that has joints and colliders; yield mass and size as a finding to be checked later.
 
     A robot's size is the longest edge of the bounding box of its colliders and joints, along the root body's axes.
     """
@@ -59,7 +59,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
         joints = np.flatnonzero(moving & (model.body_rootid[model.jnt_bodyid] == root))
         if not len(geoms) or not len(joints):
             continue
-        # Along the root body's axes, the half extents of a rotated box are abs(rotation matrix) @ (its half edges).
+        # A rotated box with the half edges e has the half extents abs(rotation matrix) @ e along the root's axes.
         axes, turns = data.xmat[root].reshape(3, 3), data.geom_xmat[geoms].reshape(-1, 3, 3)
         boxes = model.geom_aabb[geoms]
         centers = (data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turns, boxes[:, :3])) @ axes
@@ -87,8 +87,7 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
 def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
     """Return the conversion report of a robot that was read from a USD or URDF file.
 
-    ``origin`` sets the fields ``source``, ``root``, ``stage``, ``variants``, ``unresolved``, and ``layers`` of the
-    conversion report.
+    The keyword arguments ``origin`` set fields of the conversion report, such as ``source`` and ``variants``.
     """
     note_colliders(robot, ledger)
     names: dict[str, str] = {}
@@ -121,7 +120,7 @@ def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
 
 
 def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:
-    """Return the numbers of a robot's bodies, joints, shapes, and actuators, and its masses in kg."""
+    """Count a robot's bodies, degrees of freedom, shapes, and actuators, and sum its masses in kg."""
     assumed = sum(item.numbers["mass"] for item in findings if item.kind == "no_inertial")
     return {
         "bodies": len(robot.bodies),

@@ -23,7 +23,7 @@ def single(value: float) -> float:
     """Return the shortest decimal that is equal to ``value`` in single precision.
 
     USD stores most physical quantities in single precision. ``single`` converts 0.04249999970197678, the
-    single-precision value of 0.0425, to 0.0425. ``single`` changes a number by less than the precision of the USD file.
+    single-precision value of 0.0425, to 0.0425.
     """
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
@@ -34,11 +34,11 @@ NOISE = 1e-14  # relative error
 
 
 def rounded(value: float, scale: float | None = None) -> float:
-    """Return a short decimal that differs from ``value`` only by a rounding error; ``value`` if none exists.
+    """Return a short decimal within the single-precision rounding error of ``value``; ``value`` if there is none.
 
-    For a joint limit of -28.64789 degrees, which is -0.5000000058 rad, ``rounded`` returns -0.5 rad. USD stores most
-    physical quantities in single precision, so the rounding error is that of single precision. The allowed rounding
-    error is proportional to ``scale``, such as a vector's length; the default of ``scale`` is the size of ``value``.
+    For example, a joint limit of -0.5000000058 rad (-28.64789 degrees in the USD file) becomes -0.5 rad. USD stores
+    most physical quantities in single precision. The allowed rounding error is proportional to ``scale``, such as a
+    vector's length; the default of ``scale`` is the size of ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -142,9 +142,8 @@ class Frame:
 def split_scale(linear: Array) -> tuple[Array, Array]:
     """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
 
-    If the map ``linear`` has a negative determinant, ``stretch`` has one too, and ``rotation`` has the determinant 1.
+    The determinant of ``rotation`` is 1, even if ``linear`` mirrors and has a negative determinant.
     """
-    # The singular value decomposition u diag(values) vt gives the rotation u vt and the stretch vt' diag(values) vt.
     u, values, vt = np.linalg.svd(linear)
     rotation = u @ vt
     stretch = vt.T @ np.diag(values) @ vt
@@ -182,7 +181,7 @@ class Solid:
     inertia: Array
 
     def seen_from(self, frame: Frame) -> Solid:
-        """Convert a solid's centre and inertia from coordinates of ``frame`` to those of the parent of ``frame``."""
+        """Return the solid in parent coordinates; ``frame`` is the pose of the solid's coordinates in the parent."""
         r = frame.rotation
         return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
 
@@ -201,7 +200,7 @@ class Part:
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
-        """Return the body part with its inertia tensor about the point ``center``, by the parallel-axis theorem."""
+        """Return the body part with its inertia tensor taken about ``center`` (parallel-axis theorem)."""
         return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
 
 
@@ -238,7 +237,7 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
         p, q = max(((1, 2), (0, 2), (0, 1)), key=lambda pair: abs(left[pair]))
         if abs(left[p, q]) <= smallest:
             break
-        # Jacobi rotation: use the smaller of the two angles that make the matrix element (p, q) zero.
+        # Two rotation angles make the matrix element (p, q) zero; Jacobi's method uses the smaller angle.
         cot = (left[q, q] - left[p, p]) / (2 * left[p, q])
         tan = math.copysign(1.0, cot) / (abs(cot) + math.hypot(cot, 1.0))
         cos = 1 / math.hypot(tan, 1.0)
@@ -314,7 +313,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     """Return the solid of a mesh with points in m, from MuJoCo's compiler; ValueError if the mesh has no volume.
 
     ``faces`` (k, 3) contains the indices of each triangle's points; None means the triangles of the convex hull.
-    ``volume`` is a mesh inertia mode of MuJoCo. In the mode ``shell``, ``Solid.volume`` is the mesh's area in m².
+    ``volume`` is the MJCF attribute ``inertia`` of a mesh. With ``shell``, ``Solid.volume`` is the mesh's area in m².
     """
     import mujoco
 
@@ -327,7 +326,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
     body = spec.worldbody.add_body()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
-    # The compiled mesh has unit size, so scale its volume, centre, and inertia by powers of the original size.
+    # MuJoCo compiles the mesh scaled to size 1, so multiply the results by powers of the original size.
     model = spec.compile()
     axes = rotation_matrix(tuple(model.body_iquat[1]))
     inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T

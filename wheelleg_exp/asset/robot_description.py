@@ -35,7 +35,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass (kg), centre of mass (m, body frame), principal moments (kg m²), and the rotation of their axes."""
+    """A body's mass (kg), centre of mass (m, body frame), principal moments (kg m²), and principal axes' rotation."""
 
     mass: float
     center_of_mass: Vec3
@@ -106,12 +106,12 @@ class Drive:
 
 @dataclass(frozen=True)
 class Dof:
-    """One degree of freedom (three for a ball joint) of a body in its parent body, about ``axis`` through ``anchor``.
+    """A MuJoCo joint (hinge, slide, or ball) between a body and its parent body.
 
     The joint's axis and anchor (m) are in the body's frame. ``range`` is the joint's limits, rad (m); None if
     unlimited. The MJCF keyframe ``home`` contains the joint's ``position`` and ``velocity``. ``ref`` is the joint
-    coordinate at which the body is at its ``pose``. ``force_range``, N·m (N), limits the total torque (force) of the
-    joint's motors. MuJoCo has no velocity limit: ``max_velocity``, rad/s (m/s), is a limit for a controller.
+    coordinate at which the body has its pose ``Body.pose``. ``force_range``, N·m (N), limits the total torque (force)
+    of the joint's motors. MuJoCo has no velocity limit: ``max_velocity``, rad/s (m/s), is a limit for a controller.
     """
 
     name: str
@@ -165,7 +165,7 @@ class TendonPoint:
 class Tendon:
     """A length: of a path through ``points`` in m, or a sum of ``joints`` coordinates with a factor each.
 
-    ``range`` limits the length. A tendon has either ``points`` or ``joints``, so one of the two is empty.
+    ``range`` limits the length. A tendon has either ``points`` or ``joints``.
     """
 
     name: str
@@ -224,7 +224,7 @@ class Body:
 class Closure:
     """A joint that closes a loop: points on both bodies (None: the world) coincide, or frames are welded.
 
-    A hinge that closes a loop of bodies is described by two pairs of points on the hinge's axis.
+    For a hinge that closes a loop, ``anchors`` contains two pairs of points on the hinge's axis.
     """
 
     name: str
@@ -248,8 +248,8 @@ class Keyframe:
 class RobotDescription:
     """Everything that a simulator needs to know about a robot. ``bodies`` lists each parent body before its children.
 
-    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag``, and ``compiler`` contain the
-    attributes of the MJCF elements ``option``, ``flag``, and ``compiler``.
+    ``static_geoms`` and ``static_sites`` belong to the world body. ``option``, ``flag``, and ``compiler`` contain
+    attributes of the MJCF elements with these names.
     """
 
     name: str
@@ -304,12 +304,12 @@ LONGEST_FILE = 100  # Mesh file names are cut to 100 characters, because most fi
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
     """Return a short name for each path: as few of its last parts, joined by ``_``, as make all names unique.
 
-    ``shown`` maps the path of each prim with an encoded name to the prim's original name.
+    ``shown`` maps prim paths to display names, for prims whose name USD encodes (``tn__...``).
     """
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # In each iteration, prepend one more parent's name to every name that several USD prims share.
+    # While several USD prims have the same name, prepend the name of the next parent to their names.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]

@@ -1,4 +1,4 @@
-"""Compile an MJCF, compare the model with the robot description, and convert acceleration gains to force gains."""
+"""Compile an MJCF, check the model against the robot description, and scale acceleration drives by joint inertia."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def refusals(source: str, folder: Path | None = None) -> Iterator[None]:
 
 @contextmanager
 def mujoco_warnings() -> Iterator[list[str]]:
-    """Collect the warnings that MuJoCo would otherwise write to a log file in the current folder."""
+    """Collect MuJoCo's warnings in a list, instead of MuJoCo's log file in the current folder."""
     texts: list[str] = []
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: texts.append(f"MuJoCo: {text}"))

@@ -1,10 +1,10 @@
 """Collect shared attributes of MJCF elements into default classes, so that each number appears once in the MJCF.
 
-The MJCF default class with the robot's name has the attributes that all elements of one type share, and each of its
-child classes has attributes that several elements share. A child class is named ``wheel`` or ``leg`` after the role of
-its elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. A wheel
-is the last hinge of a limb, has no limits, and its shapes are round about its axis; the joints between trunk and wheel
-are its leg. In a robot without wheels, no joint has the role ``wheel`` or ``leg``.
+The default class with the robot's name has the attributes that all MJCF elements of one type share. Child default
+classes have attributes that only some elements share. A child class is named ``wheel`` or ``leg`` after the role of its
+elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. A joint has
+the role ``wheel`` if it is the last hinge of a limb, has no limits, and moves a round shape. Joints between the trunk
+and a wheel have the role ``leg``. In a robot without wheels, no joint has the role ``wheel`` or ``leg``.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Family:
 
 
 class Classes:
-    """The default classes of an MJCF, and the attributes that each MJCF element states itself.
+    """The default classes of an MJCF, and the attributes of each MJCF element that no default class contains.
 
     ``roles`` maps names of joints, actuators, and shapes to ``wheel`` or ``leg``.
     """
@@ -146,7 +146,7 @@ class Classes:
             self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
 
     def of(self, tag: str, name: str) -> str | None:
-        """Return the default class of an MJCF element; None if the ``childclass`` of a body already sets the class."""
+        """Return the default class that an MJCF element must name; None if the ``childclass`` of its body suffices."""
         found = self._of.get((tag, name))
         return None if found is None or found == self.root or not self._needed(found) else found
 
@@ -194,7 +194,7 @@ class Classes:
         return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
 
     def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
-        # A new default class may share the name of a class that has the same parent and another MJCF element type.
+        # One default class can contain attributes of several element types, such as joints and geoms.
         stem = self.common(names)
         # Class names must be unique in the whole MJCF file, so a child class's name includes its parent class's name.
         if family.parent == self.root:

@@ -21,19 +21,19 @@ FEW = 6  # comments of one rule
 
 
 class Notes:
-    """The converter's assumptions, to print as XML comments, and the MJCF elements by their path in the robot file."""
+    """The converter's assumptions, which become XML comments at the MJCF elements to which they apply."""
 
     def __init__(self, notes: Sequence[Assumption]) -> None:
         self._notes = notes
         self._elements: dict[str, Element] = {}
 
     def place(self, path: str, element: Element) -> None:
-        """Record the first MJCF element that the converter makes from each element of the robot file."""
+        """Remember the MJCF element made from the robot file's element ``path``; keep the first one per path."""
         if path:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Add the converter's assumptions to MJCF elements as comments; return comments for the start of the MJCF."""
+        """Write the converter's assumptions as comments at MJCF elements; return comments for the start of the file."""
         rules = Counter(note.rule for note in self._notes)
         many = {rule: count for rule, count in rules.items() if count > FEW}
         head = [f"{rule} ({count} places)" for rule, count in many.items()]
@@ -237,7 +237,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
-            # An actuator's target attribute is joint, tendon, or another name, so a keyword argument is not possible.
+            # An actuator's target attribute can be ``joint``, ``tendon``, ..., so it cannot be a keyword argument.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))

@@ -25,7 +25,8 @@ class Element:
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
         """Append a child element to this XML element, and return the child.
 
-        The XML attributes in ``given`` are printed last. The keyword argument ``class_`` sets ``class``.
+        The XML text lists the attributes ``given`` last. The keyword argument ``class_`` sets the XML attribute
+        ``class``.
         """
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})
@@ -90,7 +91,7 @@ GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom without materia
 GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # By default, MuJoCo's viewer shows only geoms of groups 0 to 2.
 
 Attributes = dict[str, Value]
-PLAIN: Attributes = {  # ``PLAIN`` has MuJoCo's default values of attributes, which the MJCF file omits.
+PLAIN: Attributes = {  # MuJoCo's default values; the MJCF file omits attributes with these values.
     **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (0.02, 1.0)),
     **dict.fromkeys(("solimp", "solimplimit", "solimpfriction"), (0.9, 0.95, 0.001, 0.5, 2.0)),
     **dict.fromkeys(("margin", "gap", "stiffness", "damping", "armature", "frictionloss"), 0.0),
@@ -99,12 +100,12 @@ PLAIN: Attributes = {  # ``PLAIN`` has MuJoCo's default values of attributes, wh
 
 
 def pose(at: Pose) -> Attributes:
-    """Return the MJCF attributes ``pos`` and ``quat`` of a pose; None means a zero position or rotation."""
+    """Return the MJCF attributes ``pos`` and ``quat`` of a pose; None stands for a zero position or rotation."""
     return {"pos": at.position if any(at.position) else None, "quat": None if at.rotation == IDENTITY else at.rotation}
 
 
 def given(attributes: Attributes) -> Attributes:
-    """Return the MJCF attributes whose value is not MuJoCo's default."""
+    """Return the attributes without those that are None or have MuJoCo's default value."""
     return {k: v for k, v in attributes.items() if v is not None and (k not in PLAIN or v != PLAIN[k])}
 
 
@@ -147,7 +148,7 @@ def key(item: Closure | Coupling) -> str:
 
 
 def equality(item: Closure | Coupling) -> Attributes:
-    """Return the MJCF attributes of the constraint that a MuJoCo equality adds."""
+    """Return a MuJoCo equality constraint's MJCF attributes ``solref``, ``solimp``, and ``active``."""
     return given({k: v for k, v in item.extra.items() if k in ("solref", "solimp", "active")})
 
 
@@ -157,7 +158,7 @@ def site(item: Site) -> Attributes:
 
 
 def geom(item: Geom, static: bool = False) -> Attributes:
-    """Return a shape's MJCF attributes; a collider of the world has no ``group``."""
+    """Return the MJCF attributes of a geom; a collider of the world body stays in MuJoCo's default ``group``."""
     group = GROUP_VISUAL if not item.collides or item.drawn else GROUP_COLLIDER
     plain = GREY if item.collides and item.drawn and not static else None
     own: Attributes = {

@@ -33,7 +33,7 @@ def write_scene(robot: RobotDescription, model: Path) -> Path | None:
     """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path.
 
     The preview scene uses MuJoCo's ``discrete`` integrator, which treats stiffness implicitly. The preview scene gets
-    the largest time step at which the simulation of the robot, dropped on the floor, is stable for half a second.
+    the largest time step with which a dropped robot is simulated for half a second without instability.
     """
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
@@ -91,7 +91,7 @@ def _free(stem: str) -> itertools.chain[str]:
 
 
 def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:
-    """Return the floor's height (m), and the qpos and ctrl with which a floating robot stands on the floor, or None."""
+    """Return the floor's height (m) and, for a floating robot with a home keyframe, its standing qpos and ctrl."""
     data = mujoco.MjData(alone)
     mujoco.mj_kinematics(alone, data)
     at_zero = round(_lowest(alone, data), 5)
@@ -121,7 +121,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _is_calm(model: mujoco.MjModel, step: float) -> bool:
-    """Return whether a model's simulations from qpos0 and its last keyframe are stable with the time step ``step``."""
+    """Simulate a model from qpos0 and from its last keyframe, and return whether both simulations are stable."""
     model.opt.timestep = step
     gravity = float(np.linalg.norm(model.opt.gravity))
     bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))

@@ -41,7 +41,7 @@ def read_dae(data: bytes) -> tuple[Array, Faces]:
         part = _placed(file, mesh, matrix)
         count += len(part[0]) + len(part[1])
         if count > MOST_POINTS:
-            raise ValueError(f"the scene has more than {MOST_POINTS:,} points and triangles")
+            raise ValueError(f"the COLLADA scene has more than {MOST_POINTS:,} points and triangles")
         if len(part[1]):
             parts.append(part)
     if not parts:
@@ -311,7 +311,7 @@ class Files:
     def _moved(self, name: str) -> Iterator[Path]:
         """Yield possible local paths of a mesh file whose absolute path is from another machine.
 
-        The mesh's path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
+        For example, ``/opt/ros/share/pkg/a.stl`` is searched as ``pkg/a.stl`` in the folders that contain the URDF.
         """
         parts = Path(name).parts if name.startswith("/") else ()
         around = {above.name for above in (self.folder, *self._above())}

@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # ``stack`` has the XML elements that are still open.
+    stack: list[tuple[Element, list[str]]] = []  # the XML elements whose end tag the parser has not reached
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -98,7 +98,7 @@ SHOWN_TEXT = 60  # characters in a message
 
 @dataclass(eq=False)
 class Document:
-    """A parsed URDF, and the ledger of the elements and attributes that the converter has read."""
+    """A parsed URDF, and the record (``ledger``) of the elements and attributes that the converter has read."""
 
     source: Path
     root: Element
@@ -109,7 +109,7 @@ class Document:
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
-        """Return an XML attribute's text or None, and record the MJCF part that the converter makes from it."""
+        """Return an XML attribute's text or None, and record that the attribute becomes the MJCF part ``became``."""
         value = element.attributes.get(name)
         if value is not None and became is not None:
             self.ledger.mapped(element.path, name, became)
@@ -134,7 +134,7 @@ class Document:
         return values
 
     def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
-        """Return an XML attribute's number; None if the attribute is missing or blank; ``endless`` allows infinity."""
+        """Return an XML attribute as a number, or None if it is missing or blank; ``endless`` permits infinity."""
         text = self.text(element, name, became)
         if text is None or not text.strip():
             return None

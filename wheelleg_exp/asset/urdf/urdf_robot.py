@@ -162,7 +162,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
 def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
     """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
 
-    ``dofs`` maps the name of each URDF joint with one hinge or slide to the joint's degree of freedom.
+    ``dofs`` maps the name of each URDF joint with exactly one degree of freedom to the MuJoCo joint.
     """
     found = []
     for joint in tree.joints.values():

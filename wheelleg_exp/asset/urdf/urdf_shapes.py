@@ -19,7 +19,7 @@ from wheelleg_exp.errors import AssetError
 
 
 class Looks:
-    """The colours that a URDF defines; ``used`` contains the materials to which shapes refer."""
+    """The named colours of a URDF; ``used`` contains the materials that the URDF's shapes have."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -178,7 +178,7 @@ class Shapes:
         """Return the name of a shape's mesh: its file's name, numbered if repeated. Equal meshes are stored once."""
         assert shape.vertices is not None
         assert shape.faces is not None
-        # Equal meshes share one file, but a visual and a collider do not, because their inertia modes in MuJoCo differ.
+        # A visual and a collider never share a mesh file, because they need different mesh inertia modes in MuJoCo.
         vertices = np.round(shape.vertices, 9) + 0.0
         key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
         if key not in self.meshes:

@@ -31,7 +31,7 @@ class Link:
 
 @dataclass(eq=False)
 class Joint:
-    """A URDF joint; ``kind`` is the joint's type in the URDF."""
+    """A URDF joint; ``kind`` is the joint's XML attribute ``type``, such as ``prismatic``."""
 
     element: Element
     name: str
@@ -242,7 +242,7 @@ def _axes(document: Document, joint: Joint) -> tuple[Axis, ...]:
     elif joint.kind == "spherical":
         kinds = [("ball", (0.0, 0.0, 1.0))]
     elif joint.kind == "planar":
-        # The two slides of a planar joint point along x and y, after the shortest rotation from z to the joint's axis.
+        # The slides of a planar joint are x and y, turned by the shortest rotation from z to the joint's axis.
         quat, turn = np.zeros(4), np.zeros(9)
         mujoco.mju_quatZ2Vec(quat, np.array(axis))
         mujoco.mju_quat2Mat(turn, quat)

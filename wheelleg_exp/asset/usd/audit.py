@@ -1,8 +1,8 @@
 """Report every authored physics property, schema, and prim of a USD stage that the converter has not read.
 
 The module's tables map name patterns of USD properties, schemas, and prim types to the reason why the MJCF omits them.
-If several name patterns match a USD property, the conversion report gives the first pattern's reason for omitting the
-property. If no name pattern matches a USD property, the conversion report says that the property is not known.
+The first pattern that matches a property's name gives the reason for the property's omission. A property that matches
+no pattern is reported as unknown.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PHYSICAL_SCHEMAS = re.compile(r"(TensorPhysics|Physics|Physx|Newton|Mjc|Isaac\w*
 
 @dataclass(frozen=True)
 class Reason:
-    """The reason why the MJCF omits a USD schema or prim; if ``loud`` is true, the converter warns the user."""
+    """Why the MJCF omits a USD schema or prim; if ``loud`` is true, the converter warns the user of the omission."""
 
     text: str
     loud: bool = False
@@ -90,7 +90,7 @@ _SCHEMAS: tuple[tuple[str, Reason], ...] = (
     (r"(Isaac|TensorPhysics|warp)\w*", Reason("a note of the simulator that wrote the file")),
     (r".*", Reason("this schema is not known here")),
 )
-# For a USD schema that matches ``_BY_ATTRIBUTES``, the conversion report lists the schema's attributes one by one.
+# For schemas such as PhysicsMassAPI, the conversion report lists each omitted attribute, not the whole schema.
 _BY_ATTRIBUTES = re.compile(
     r"Physics(Mass|MeshCollision|Material|FilteredPairs)API|Physics(Drive|Limit|JointState)API(:.*)?"
     r"|Physx(Joint|JointAxis|Limit|RigidBody|Collision|Articulation|Material|Scene|CookedData)API(:.*)?"
@@ -117,7 +117,7 @@ _KINDS: tuple[tuple[str, Reason], ...] = (
 
 @functools.cache
 def why_schema(name: str) -> Reason | None:
-    """Return why the conversion to MJCF drops a USD API schema; None if the conversion report omits the schema."""
+    """Return why the MJCF omits a USD API schema; None if the conversion report needs no entry for the schema."""
     if not PHYSICAL_SCHEMAS.match(name) or _BY_ATTRIBUTES.fullmatch(name):
         return None
     base = name.split(":")[0]
@@ -179,7 +179,7 @@ _MASS = ("physics:mass", "physics:density", "physics:centerOfMass", "physics:dia
 
 
 def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
-    """Return why the MJCF omits a USD property; the prim can give a more specific reason than the property's name."""
+    """Return why the MJCF omits a USD property, judged by the property's name and by its prim."""
     name, kind = prop.GetName(), str(prim.GetTypeName())
     if isinstance(prop, Usd.Attribute) and not prop.HasAuthoredValue():
         return "declared without a value"
@@ -193,7 +193,6 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
         if "PhysicsMaterialAPI" in applied:
             return "not needed: the bound shapes have a mass, or nothing is bound to this material"
         return "mass properties count only on bodies, colliders, and materials"
-    # If the converter omits a USD joint, it also omits all attributes of this joint.
     joint = prim.IsA(UsdPhysics.Joint)
     if joint and stage.ledger.left_out(prim.GetPath(), kind):
         return "its joint was left out"

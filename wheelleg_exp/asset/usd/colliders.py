@@ -82,7 +82,7 @@ SHAPED = {"Cube", "Sphere", "Capsule", "Capsule_1", "Cylinder", "Cylinder_1", "C
 class Piece:
     """A gprim of a body (None: the world).
 
-    ``carrier`` is the prim with the CollisionAPI of a collider; None for a visual.
+    ``carrier`` is the prim whose CollisionAPI makes the gprim a collider; None if the gprim is a visual.
     """
 
     prim: Usd.Prim
@@ -164,7 +164,7 @@ def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | 
 
 
 def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape, static: bool) -> Shape:
-    """Return the shape that replaces a mesh in collisions. MuJoCo uses the convex hull of a mesh for collisions."""
+    """Return a mesh's collision shape, such as a bounding box. MuJoCo uses the convex hull of a mesh for collisions."""
     wanted = stage.ledger.read(carrier, "physics:approximation", "the collider's shape")
     if prim.GetPath() != carrier.GetPath():
         wanted = stage.ledger.read(prim, "physics:approximation", "the collider's shape") or wanted

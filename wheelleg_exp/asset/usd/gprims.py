@@ -24,7 +24,7 @@ _SEGMENTS = 32  # polygon sides
 class Shape:
     """A shape of a body, with MuJoCo's geom type and size (m); a mesh has points (n, 3) and triangles (k, 3).
 
-    ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass; None means the shape itself.
+    PhysX computes the shape's mass from the solid ``weight`` (in the shape's frame); None means the shape itself.
     """
 
     kind: ShapeKind
@@ -151,7 +151,7 @@ def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
     """Return an infinite plane.
 
-    The plane's normal is along the axis of the USD plane, even if the transform mirrors the USD plane.
+    A transform that mirrors the USD plane also mirrors the plane's normal.
     """
     axis, note = _axis(prim)
     turn = Z_TO_AXIS[axis]
@@ -194,7 +194,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
         vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
-    # Reverse the triangles of a left-handed or mirrored mesh, but not of a left-handed mesh that is mirrored.
+    # Left-handed orientation and mirroring each reverse the triangles of a mesh; together, they cancel out.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
     return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
 

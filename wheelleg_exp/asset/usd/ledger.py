@@ -1,8 +1,8 @@
 """Read USD attributes as plain Python values, check the values, and record the MJCF part made from each attribute.
 
 An attribute in a USD file can have a value of any type and size. Text in place of a number, NaN, and implausibly large
-numbers raise an error that names the prim and the attribute. Values that mean "not given" in USD, such as a mass of 0
-or an infinite limit, raise no error.
+numbers raise an error that names the prim and the attribute. In USD, a mass of 0 or an infinite limit means "not
+given", and raises no error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ What = Literal["number", "flag", "text", "vector", "array"]
 
 @dataclass(frozen=True)
 class ValueKind:
-    """The required type of a USD value; ``length`` is a vector's length, and ``endless`` allows infinite numbers."""
+    """The type that a USD attribute must have; ``length`` is a vector's length, and ``endless`` permits infinity."""
 
     what: What
     length: int = 1
@@ -83,12 +83,12 @@ _EXPECTED = {
 
 @functools.cache
 def kind_of(name: str) -> ValueKind | None:
-    """Return the required type of a USD attribute's value, by the attribute's full name; None if any is allowed."""
+    """Return the type that the USD attribute ``name`` must have; None if every type is allowed."""
     return next((kind for kind, texts in _KINDS.items() if any(re.fullmatch(t, name) for t in texts.split())), None)
 
 
 def value_of(attribute: Usd.Attribute, kind: ValueKind | None = None) -> Any:
-    """Check the type of a USD attribute's value, and return the value in plain Python."""
+    """Return a USD attribute's value in plain Python; raise AssetError if the value has a wrong type."""
     value = plain(attribute.Get())
     if value is None:
         return None
@@ -173,9 +173,9 @@ class Ledger:
         self.authored: dict[str, dict[str, Any]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return a USD attribute's authored value as plain Python, or None, and record the MJCF part made from it.
+        """Return a USD attribute's authored value, or None, and record that the value becomes the MJCF part ``became``.
 
-        Attributes of schemas that the USD library does not know can also be read.
+        ``read`` also returns attributes of USD schemas that the USD library does not know.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
@@ -189,7 +189,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the target paths of a USD relationship, and record the MJCF part that the converter makes from it."""
+        """Return the target paths of a USD relationship, and record that they become the MJCF part ``became``."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -198,15 +198,15 @@ class Ledger:
         return list(relationship.GetForwardedTargets())
 
     def mapped(self, path: object, name: str, became: str) -> None:
-        """Record which part of the MJCF the converter made from a part of the robot file."""
+        """Record that the robot file's attribute or element ``name`` became the MJCF part ``became``."""
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
-        """Record a value that a rule of the converter chose, because the robot file lacks the value."""
+        """Record a value that the converter assumed by the rule ``rule``, because the robot file lacks the value."""
         self._assumed[str(path), rule] = Assumption(str(path), rule, str(value))
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
-        """Record a part of the robot file that an MJCF cannot express."""
+        """Record that the MJCF omits the robot file's attribute or element ``name``."""
         self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
@@ -215,7 +215,7 @@ class Ledger:
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Record a finding unless the same finding exists; ``conversion_report`` lists the kinds of findings."""
+        """Add a finding, such as ``no_colliders``, to the conversion report; ``numbers`` are its measured values."""
         plain_numbers = {name: float(value) for name, value in numbers.items()}
         self._found[kind, subject, str(path)] = Finding(kind, subject, str(path), plain_numbers)
 
@@ -229,12 +229,12 @@ class Ledger:
         return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
-        """Return whether an attribute is recorded as converted or as omitted."""
+        """Return whether the USD attribute ``name`` is already recorded, as converted or as omitted."""
         key = (str(path), name)
         return key in self._mapped or key in self._left_names
 
     def left_out(self, path: object, name: str) -> bool:
-        """Return whether a part of the robot file is recorded as omitted."""
+        """Return whether the robot file's attribute or element ``name`` is recorded as omitted from the MJCF."""
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:

@@ -17,7 +17,7 @@ COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseC
 
 @dataclass
 class Looks:
-    """The materials that geoms use, by the path of the USD material, in the order of first use."""
+    """The materials of a robot's geoms; ``found`` maps the path of each USD material to the converted material."""
 
     stage: Stage
     found: dict[str, Material] = field(default_factory=dict)
@@ -28,7 +28,7 @@ class Looks:
         return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
 
     def look(self, prim: Usd.Prim) -> tuple[str | None, Rgba | None]:
-        """Return the path of a gprim's bound material; without a bound material, return the gprim's display colour."""
+        """Return the path of a gprim's bound material; if there is none, return the gprim's display colour instead."""
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         if bound and self._read(bound.GetPrim()):
             self.stage.ledger.mapped(prim.GetPath(), "material:binding", "material")

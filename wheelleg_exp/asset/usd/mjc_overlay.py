@@ -1,4 +1,4 @@
-"""Add the data of MuJoCo's USD schemas to a robot description that was read from all other USD schemas.
+"""Complete a robot description with the data of MuJoCo's own USD schemas, such as ``MjcJointAPI``.
 
 MuJoCo's USD schemas describe joints, geoms, equalities, actuators, tendons, keyframes, the options and flags of the
 scene, and compiler settings that affect masses and inertias.
@@ -109,7 +109,7 @@ CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
 
 
 def with_closure_extra(stage: Stage, closure: desc.Closure) -> desc.Closure:
-    """Return a loop closure with MuJoCo's attributes for its stiffness and for whether it is active."""
+    """Add the solver attributes and the flag ``active`` of MuJoCo's USD schemas to a loop closure."""
     prim = stage.usd.GetPrimAtPath(closure.path)
     if not CLOSED & set(schemas(prim)):
         return closure
@@ -122,7 +122,7 @@ def with_closure_extra(stage: Stage, closure: desc.Closure) -> desc.Closure:
 
 
 def read_couplings(stage: Stage, dofs: Mapping[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
-    """Return the joint couplings of NewtonMimicAPI and MjcEqualityJointAPI; ``dofs`` is keyed by prim path."""
+    """Read joint couplings from NewtonMimicAPI and MjcEqualityJointAPI; ``dofs`` maps prim paths to MuJoCo joints."""
     found = []
     for prim in stage.prims:
         dof = dofs.get(str(prim.GetPath()))
@@ -217,7 +217,7 @@ COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")
 
 
 def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with the masses and inertias that result from the physics scene's compiler settings."""
+    """Apply the compiler settings ``boundMass``, ``boundInertia``, and ``setTotalMass`` to the robot's masses."""
     became = "masses and inertias of the bodies"
     values = {name: stage.ledger.read(scene, f"mjc:compiler:{name}", became) for name in COMPILED_MASSES}
     if not any(values.values()):
@@ -244,7 +244,7 @@ def _scaled(inertial: desc.Inertial, factor: float) -> desc.Inertial:
 
 
 def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return the robot with all data of MuJoCo's USD schemas; prim paths identify the parts of the robot."""
+    """Return the robot description completed with all data of MuJoCo's USD schemas."""
     known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
     robot = mjc.with_wraps(stage, links, robot)
@@ -296,7 +296,7 @@ Part = TypeVar("Part", desc.Site, desc.Tendon, desc.Coupling, desc.Actuator)
 
 
 def distinct(known: Iterable[desc.Dof | Part], parts: Iterable[Part]) -> tuple[Part, ...]:
-    """Return ``parts`` with a number appended to each name that one of the ``known`` parts already has."""
+    """Return ``parts`` with unique names: a name that ``known`` already contains gets a number as suffix."""
     names = desc.Numbered(item.name for item in known)
     return tuple(replace(part, name=names.take(part.name)) for part in parts)
 

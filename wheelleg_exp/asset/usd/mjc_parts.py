@@ -1,7 +1,7 @@
 """Read actuators, tendons, and keyframes of MuJoCo's USD schemas, with their attributes in MJCF's types.
 
-``mjc_parts`` ignores the default values of USD schemas. If a USD file has only one end of a range, the other end is 0.
-A keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
+``mjc_parts`` reads only authored attributes, not the default values of USD schemas. If a USD file has only one end of a
+range, the other end is 0. A keyframe's arrays are in the order of the MuJoCo model from which the USD file was made.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wheelleg_exp.asset.usd.colliders import is_site, named
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
-Names = Mapping[str, str]  # ``Names`` maps paths of USD prims to names of MJCF elements.
+Names = Mapping[str, str]  # maps paths of USD prims to names of MJCF elements
 Attribute = str | int | float | bool | tuple[float, ...]
 EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # required number of numbers
 LONGEST = {  # largest number of numbers
@@ -45,9 +45,9 @@ def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
-    """Return the authored values of attributes; ``names`` maps USD attribute names to MJCF attribute names.
+    """Return a prim's authored attributes for the MJCF; ``names`` maps USD attribute names to MJCF attribute names.
 
-    An attribute value that is not finite means MuJoCo's default and is omitted.
+    A value that is not finite stands for MuJoCo's default, so the result omits it.
     """
     found: dict[str, Attribute] = {}
     for name, became in names.items():
@@ -82,7 +82,7 @@ def _plain(value: Any) -> Attribute | None:
 
 
 def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) -> dict[str, Attribute]:
-    """Return a USD range and the flag that enables the range, as two MJCF attributes.
+    """Return a USD range and its on/off flag as two MJCF attributes.
 
     USD's ``mjc:ctrlRange:min``, ``mjc:ctrlRange:max``, and ``mjc:ctrlLimited`` become ``ctrlrange`` and
     ``ctrllimited``.
@@ -103,7 +103,7 @@ def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) ->
 
 
 def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
-    """Record a USD attribute as omitted, unless it is already recorded as converted or omitted."""
+    """Record that the MJCF omits a USD attribute, unless the attribute is already recorded."""
     value = stage.ledger.read(prim, name)
     if value is not None and not stage.ledger.knows(prim.GetPath(), name):
         stage.ledger.leave(prim.GetPath(), name, reason, value)
@@ -122,7 +122,7 @@ ACTUATOR_ATTRIBUTES = {f"mjc:{name}": name.lower() for name in _OF_ACTUATORS.spl
 
 @dataclass(frozen=True)
 class Targets:
-    """The MJCF names of possible actuator targets by prim path; ``ranged`` names the targets with limits."""
+    """MJCF names, by prim path, of all elements that an actuator can drive; ``ranged`` contains those with limits."""
 
     ranged: set[str] = field(default_factory=set)
     joints: dict[str, str] = field(default_factory=dict)
@@ -138,7 +138,7 @@ class Targets:
 
 
 def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
-    """Return the actuators whose target is in the MJCF, in the order of the stage."""
+    """Return the USD stage's actuators, except those whose joint, tendon, site, or body the MJCF lacks."""
     prims = named([prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR])
     found = (_actuator(stage, prim, name, targets) for prim, name in prims)
     return tuple(actuator for actuator in found if actuator is not None)
@@ -215,7 +215,7 @@ def tendon_prims(stage: Stage) -> list[Usd.Prim]:
 
 
 def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
-    """Return the tendons whose sites, geoms, and joints are all in the MJCF; arguments map prim paths to MJCF names."""
+    """Return the USD stage's tendons, except those with a site, geom, or joint that the MJCF lacks."""
     found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(tendon_prims(stage)))
     return tuple(tendon for tendon in found if tendon is not None)
 
@@ -332,7 +332,7 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 
 def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
-    """Return the keyframes whose arrays have as many numbers as the robot has coordinates, velocities, and controls."""
+    """Return the keyframes whose arrays fit the robot's numbers of coordinates, velocities, and controls."""
     prims = named([prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME])
     found = (_keyframe(stage, prim, name, robot) for prim, name in prims)
     return tuple(keyframe for keyframe in found if keyframe is not None)

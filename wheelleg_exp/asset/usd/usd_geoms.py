@@ -1,6 +1,6 @@
 """Make the MuJoCo geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
 
-Joints, USD's filtered pairs, and collision groups become MJCF ``exclude`` elements or collision bits of geoms.
+USD's collision filters (joints, filtered pairs, collision groups) become MJCF ``exclude`` elements or collision bits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SMALLEST_VOLUME = 1e-13  # m³
 
 
 class Geoms:
-    """The geoms of all shapes of a USD stage, by body."""
+    """Convert the shapes of a USD stage to MuJoCo geoms, grouped by body."""
 
     def __init__(self, stage: Stage, pieces: list[Piece]) -> None:
         self.stage, self.looks = stage, Looks(stage)
@@ -123,7 +123,7 @@ BITS = 31  # of MuJoCo's 32 bits
 
 @dataclass(frozen=True)
 class Filters:
-    """``pairs`` of bodies never touch; ``bits`` maps each shape's USD prim path to the collision bits of its geom."""
+    """Collision filters: pairs of bodies that never touch, and collision bits of geoms by the shape's prim path."""
 
     pairs: tuple[tuple[str, str], ...]
     bits: Mapping[str, Extra]
@@ -140,9 +140,9 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Return a class number for each shape; the same collision rules apply to all shapes of one class number.
+        """Number the shapes by their collision rules: shapes with the same number have the same rules.
 
-        A shape gets the class number 0 if no collision rule forbids any contact of this shape.
+        A shape gets the number 0 if no collision rule applies to it.
         """
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
@@ -164,7 +164,7 @@ class _Rules:
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
 ) -> Filters:
-    """Return the collision filters of a USD stage, where two jointed bodies touch only if the joint allows contact.
+    """Return the USD stage's collision filters; two bodies with a common joint touch only if the joint allows it.
 
     ``quiet`` are sets of bodies, by path, that do not touch each other; None: no two bodies touch.
     """
@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # Shapes without collision rules use collision bit 0; shapes with equal collision rules share another bit.
+    # Shapes without collision rules use collision bit 0; all shapes with the same rules use one other bit.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -210,7 +210,7 @@ def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Yield the body pairs of ``physics:filteredPairs``; if a prim of a pair is a shape, add the pair to ``rules``."""
+    """Yield the body pairs of ``physics:filteredPairs``; a pair with a shape prim goes to ``rules`` instead."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -234,7 +234,7 @@ def _shapes(links: Links, solid: Mapping[str, Piece], path: Sdf.Path) -> set[str
 
 
 def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
-    """Add the pairs of collision groups that never touch, from OpenUSD's table of collision groups, to ``rules``."""
+    """Add the pairs of USD collision groups whose shapes never touch to ``rules``."""
     groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
     if not groups:
         return
@@ -269,7 +269,7 @@ GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:inv
 def _body_pairs(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return the body pairs without any allowed contact, and the body pairs with both allowed and forbidden contacts.
+    """Return the body pairs that can never touch, and the body pairs of which only some shapes can touch.
 
     To save time, ``_body_pairs`` compares sets of bodies whose shapes have the same collision rules, not single bodies.
     """

@@ -2,9 +2,10 @@
 
 The USD library opens every file that a layer names, and would wait forever for data from a named pipe.
 
-A missing texture, material library, or layer of visuals is reported and skipped. A missing physics layer is an error,
-because bodies, joints, and colliders would vanish silently. The prims that refer to a missing layer, not the layer's
-name, determine whether the layer contains physics, because a mesh file often contains both visuals and colliders.
+The converter reports and skips missing textures, material libraries, and layers with only visuals. A missing physics
+layer is an error, because bodies, joints, and colliders would vanish silently. The prims that refer to a missing layer
+show whether the layer contains physics; the layer's name does not, because a mesh file often contains both visuals and
+colliders.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from wheelleg_exp.errors import AssetError
 def open_layers(source: Path) -> list[Sdf.Layer]:
     """Open all layers of a USD stage, with the layers of all variants.
 
-    The USD layers stay open as long as the returned list exists.
+    USD closes the layers when the returned list is deleted.
     """
     identifier = str(source.resolve())
     require_plain_file(source, "a layer of USD")
@@ -99,13 +100,13 @@ class Missing:
 
     @property
     def looks_only(self) -> bool:
-        """Whether a missing file contains only visuals, judged by the suffix or by the prims that name the file."""
+        """Whether a missing file contains only visuals, judged by its suffix or by the prims that refer to it."""
         inside = (any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims)
         return bool(_NO_LAYER.search(self.name)) or all(inside)
 
     @property
     def prim(self) -> Sdf.Path:
-        """The first prim whose reference to a USD layer or prim cannot be resolved."""
+        """The first of the prims that refer to the missing USD layer or prim."""
         return self.prims[0]
 
 
@@ -129,7 +130,7 @@ def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
 
 
 def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Missing], source: Path) -> None:
-    """Raise an AssetError if a missing USD layer or prim would have added physics to the stage."""
+    """Raise an AssetError if a missing USD layer or prim should contain bodies, joints, or colliders."""
     arcs = [(item, holder) for item in missing if not _NO_LAYER.search(item.name) for holder in item.prims]
     if not arcs:
         return
@@ -165,8 +166,8 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return an error text if a collider lacks shapes because the prim ``holder`` lacks a layer; else an empty text."""
-    # Search the USD prim ``holder`` and its parents for a collider without shapes; stop at a prim for visuals.
+    """Return an error text if a missing layer at the prim ``holder`` leaves a collider without shapes; else ``""``."""
+    # Search ``holder`` and its parent prims for a collider without shapes, up to a prim for visuals.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

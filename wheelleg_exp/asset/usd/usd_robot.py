@@ -37,7 +37,7 @@ MOST_DIGITS = 9
 
 
 def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
-    """Return a robot whose single-precision numbers are the shortest decimals that read back as the same number."""
+    """Return the robot with each single-precision number replaced by its shortest decimal, such as 0.0425."""
     coarse = all(_is_single(prim) for prim in stage.prims)
     bodies = tuple(_short_body(stage, body, coarse) for body in robot.bodies)
     static = tuple(_short_geom(geom) for geom in robot.static_geoms) if coarse else robot.static_geoms
@@ -132,7 +132,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
-    # If no two colliders of the robot can collide, one MJCF default class disables self-collision.
+    # If the robot's colliders can never touch each other, one MJCF default class disables self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
     solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
     touching = len(quiet) != 1 or not solid <= quiet[0]

@@ -87,14 +87,14 @@ def endless(value: float | None, angular: bool) -> bool:
 
 
 def effort_limit(value: float | None) -> float | None:
-    """Return a drive's effort limit in USD stage units; None if it is missing, infinite, huge, or not positive."""
+    """Return the effort limit ``value`` (USD stage units); None if it is missing, infinite, huge, or not positive."""
     return None if value is None or not math.isfinite(value) or value >= HUGE or value <= 0 else value
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
-    """Select variants on the stage's session layer. Return the selected variant of each variant set.
+    """Select USD variants in the stage's session layer, and return the selected variant of each variant set.
 
-    A variant selection applies to the first prim with the variant set, starting at the default prim.
+    Each variant is selected on the first prim, from the default prim downwards, that has the variant set.
     """
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
@@ -118,7 +118,7 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:
-    """Return the variant names of each USD variant set at or below the prim ``root``; those of ``root`` come first."""
+    """Map each USD variant set at or below the prim ``root`` to its variant names; the sets of ``root`` come first."""
     found: dict[str, list[str]] = {}
     for prim in Usd.PrimRange(root):
         for name in prim.GetVariantSets().GetNames():

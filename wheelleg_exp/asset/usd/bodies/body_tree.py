@@ -35,12 +35,12 @@ class Node:
 
     @property
     def reversed(self) -> bool:
-        """Whether the child body is the joint's body0 instead of its body1."""
+        """Whether the USD joint names the child body as body0, and the parent body as body1."""
         return self.joint is not None and self.joint.links[0] is self.link
 
     @property
     def joints(self) -> list[Joint]:
-        """The joints between the node's body and its parent body, outermost first; their degrees of freedom add up."""
+        """All joints that connect the body to its parent, outermost first; the body can move in each of them."""
         return [self.joint, *self.added] if self.joint else []
 
     def frame_in_body(self, joint: Joint) -> Frame:
@@ -83,10 +83,10 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Return the joint at which a kinematic loop is open, and a better joint to open it at; None if no joint is better.
+    """Find a better joint for opening a kinematic loop; return the present and the better joint, or None.
 
-    A kinematic loop should open at a joint that has no drive and that a MuJoCo equality constraint can replace. Of
-    several possible hinge and ball joints in a kinematic loop, the joint farthest from the root body is returned.
+    A kinematic loop best opens at a joint without drive, if a MuJoCo equality constraint can replace the joint. Among
+    several hinge and ball joints of a loop, the joint farthest from the root body is best.
     """
     by_path = {node.link.path: node for node in nodes}
     for joint in closures:
@@ -120,7 +120,7 @@ def _driven(joint: Joint) -> bool:
 
 
 def read_closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
-    """Return the MuJoCo equalities that replace the joints that close loops."""
+    """Replace joints that close kinematic loops by MuJoCo equality constraints."""
     found = (_closure(stage, joint) for joint in joints)
     return tuple(closure for closure in found if closure is not None)
 
@@ -174,7 +174,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     if base == "floating":
         joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
-    # Rebuild the spanning tree after each choice of a better joint for opening a kinematic loop.
+    # Each time a better joint for opening a kinematic loop is found, build the spanning tree again.
     while True:
         builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
@@ -250,7 +250,7 @@ def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link
 
 
 class _Builder:
-    """Spanning trees, built breadth first; a joint to a body that is already in a tree closes a loop."""
+    """Build spanning trees of bodies, breadth first; a joint between two bodies of one tree closes a kinematic loop."""
 
     def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
         self.stage, self.graph, self.base = stage, graph, base
@@ -302,7 +302,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Treat each joint outside the spanning tree as a loop closure, or as a further joint to a body's parent."""
+        """Make each joint outside the spanning tree a loop closure, or a second joint between a body and its parent."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -320,7 +320,7 @@ class _Builder:
 
 
 def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether several joints between two bodies add their degrees of freedom, as in MuJoCo; None if unknown."""
+    """Return whether parallel joints between two bodies add their degrees of freedom; None if not authored in USD."""
     name = "newton:jointsAddMobility"
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]
@@ -328,5 +328,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether all joints have MjcJointAPI; such joints of one body add their degrees of freedom."""
+    """Return whether all ``joints`` have MjcJointAPI, so that their degrees of freedom add up as in MuJoCo."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

@@ -1,6 +1,6 @@
 """Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh.
 
-A collider's mass is the mass in the USD file, or a density times the collider's volume.
+A collider's mass is authored in the USD file, or is the collider's density times its volume.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     carrier = group[0][0].carrier
     assert carrier is not None
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
-    # Sum the masses of a collider prim's shapes, because they share the prim's USD MassAPI.
+    # All shapes of one collider prim share the prim's MassAPI, so sum their masses.
     center = combined_center(parts)
     whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
     if carrier.GetPath() == link.prim.GetPath():
@@ -161,8 +161,8 @@ SMALLEST = 1e-15  # kg or kg m²
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
     """Return a body's mass, centre of mass, and principal moments of inertia.
 
-    All colliders of the body contribute mass, even colliders whose collision is disabled. MuJoCo accepts a mass of zero
-    only on a ``welded`` body, which cannot move in its parent.
+    Colliders with disabled collision also contribute to the body's mass. MuJoCo accepts a mass of zero only on a
+    ``welded`` body, which cannot move in its parent.
     """
     authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
     parts: list[Part] = []
@@ -244,7 +244,7 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
 
 
 def _center(stage: Stage, link: Link) -> Array | None:
-    """Return the authored centre of mass, scaled with the prim, in the body's frame; None for USD's value -inf."""
+    """Return the centre of mass that the USD file gives, in the body's frame; None if the file gives none."""
     value = stage.ledger.read(link.prim, "physics:centerOfMass")
     if value is None or not all(math.isfinite(v) for v in value):
         return None

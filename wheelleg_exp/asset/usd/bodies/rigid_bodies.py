@@ -54,7 +54,7 @@ class Links:
         return found
 
     def below(self, path: Sdf.Path) -> list[Link]:
-        """Return the links at and below a prim path."""
+        """Return the rigid bodies whose prim is at or below the prim path ``path``."""
         return [link for link in self.by_path.values() if Sdf.Path(link.path).HasPrefix(path)]
 
 
@@ -104,7 +104,7 @@ def _what_to_choose(stage: Stage) -> str:
 
 
 def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
-    """Return the original name of each USD prim whose name is encoded (``tn__...``)."""
+    """Map the path of each USD prim with an encoded name (``tn__...``) to the prim's display name."""
     out = {}
     for prim in prims:
         if prim.GetName().startswith("tn__"):

@@ -19,7 +19,7 @@ Root = tuple[Link, "Joint | None"]
 class Graph:
     """The graph of bodies and joints: the joints at each body; ``edges[None]`` are the joints to the world.
 
-    ``released`` are bodies whose joint to the world was dropped; these bodies stay roots of spanning trees.
+    The bodies in ``released`` have lost their joint to the world, but stay roots of spanning trees.
     """
 
     links: Links
@@ -33,7 +33,7 @@ class Graph:
                 self.edges.setdefault(link.path if link else None, []).append(joint)
 
     def at(self, link: Link | None) -> list[Joint]:
-        """Return the joints that connect a link to other links, or the joints of the world if ``link`` is None."""
+        """Return all joints of the body ``link``; None stands for the world."""
         return self.edges.get(link.path if link else None, [])
 
     def neighbours(self, link: Link, closing: bool = False) -> Iterable[Link]:
@@ -48,7 +48,7 @@ class Graph:
         return list(self.distances(start, closing=False)[0])
 
     def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
-        """Return the bodies that joints connect to a body, nearest first, and the distance of the farthest body."""
+        """Return all bodies connected to ``start``, nearest first, and the number of joints to the farthest body."""
         depth, queue, order = {start.path: 0}, deque([start]), [start]
         while queue:
             link = queue.popleft()
@@ -107,7 +107,7 @@ def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
-    """Yield the most central body of each floating articulation that contains none of the bodies ``roots``."""
+    """Yield the most central body of each floating articulation, except articulations with a body in ``roots``."""
     reached: set[str] = set()
     for root in roots:
         if root.path not in reached:

@@ -20,13 +20,13 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 
 
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
-    """Return a body's degrees of freedom; if USD stores no joint state, compute it from the body's pose in USD.
+    """Return a body's degrees of freedom; joint positions that USD does not store are computed from the body's pose.
 
-    A joint coordinate outside the joint's limits is clamped to the limits. If ``loops`` is true, a joint coordinate of
-    zero is not clamped, because moving a single joint would open a kinematic loop.
+    A joint coordinate outside the joint's limits is clamped to the limits. With ``loops``, the joint coordinate 0 is
+    never clamped, because moving a single joint would break a kinematic loop.
 
     A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the
-    converter negates the axis, and keeps the limits, targets, and gains.
+    converter negates the joint's axis; limits, targets, and gains stay the same.
     """
     if node.joint is None:
         return ()
@@ -40,7 +40,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
         rule = "the joint names the child as body0: the axis is negated"
         stage.ledger.assume(joint.path, rule, node.link.name)
     found = []
-    # If body0 is the child of a USD joint, the joint's axes have the reverse order and negated directions.
+    # If body0 is the child body, reverse the order of the joint's axes, and negate the axes.
     for axis in reversed(joint.axes) if node.reversed else joint.axes:
         direction = sign * (frame.rotation @ np.array(axis.axis))
         name = joint.name + (axis.suffix if len(joint.axes) > 1 else "")
@@ -78,7 +78,7 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
     """Return the joint coordinates that bring a body as near as possible to the body's pose in the USD file.
 
-    For a ball joint, or a body with several joints, ``_coordinates`` returns only zeros.
+    For ball joints, and for bodies with several joints, all returned coordinates are 0.
     """
     assert node.joint is not None
     if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):
@@ -133,7 +133,7 @@ def _warn_if_apart(stage: Stage, node: Node, drawn: Frame, reached: Frame) -> No
 
 
 def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction: Vec3, anchor: Vec3) -> Dof:
-    """Return one degree of freedom; ``direction`` and ``anchor`` (m) are in the frame of the joint's child body."""
+    """Return the degree of freedom of a joint axis; ``direction`` and ``anchor`` (m) are in the child body's frame."""
     angular = axis.kind != "slide"
     limits, ref = read_range(stage, prim, axis), _ref(stage, prim, angular)
     state, speed = _state(stage, prim, axis)

@@ -19,7 +19,7 @@ SLIDES, TURNS = ("transX", "transY", "transZ"), ("rotX", "rotY", "rotZ")
 
 @dataclass(frozen=True)
 class FreeAxis:
-    """One free axis of a joint, in the joint's frame. ``token`` is the axis's name in USD's drives and limits."""
+    """An axis of motion of a USD joint, in the joint's frame; ``token`` is its USD name, such as ``rotX``."""
 
     kind: Literal["hinge", "slide", "ball"]
     axis: Vec3
@@ -57,8 +57,8 @@ def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
     """Return the free axes of a generic joint, slides before hinges, and the positions of the locked axes.
 
     A joint's axis is locked at 0 if the axis's low limit is above its high limit. A joint's axis with two equal limits
-    is locked at the value of these limits. Three free rotations are a ball joint if none of the rotations has limits, a
-    drive, a state, or friction, because a ball joint cannot have separate values per axis.
+    is locked at the value of these limits. Three free rotations become a ball joint, unless one rotation has its own
+    limits, drive, state, or friction.
     """
     free, offset = [], Frame.identity()
     for token in (*SLIDES, *TURNS):
@@ -153,7 +153,7 @@ def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
 
 
 def _range(units: Units, low: float | None, high: float | None, angular: bool, one_sided: bool) -> Range | None:
-    """Return a joint axis's range in rad or m, None if unlimited; ``one_sided`` allows a range with one missing end."""
+    """Return a joint axis's range in rad or m, None if unlimited; ``one_sided`` accepts a range with only one end."""
     no_low, no_high = endless(low, angular), endless(high, angular)
     if (no_low and no_high) or ((no_low or no_high) and not one_sided):
         return None

@@ -30,7 +30,7 @@ class Ropes:
 
 
 def read_ropes(stage: Stage, joints: list[Joint]) -> Ropes:
-    """Return the tendons of distance joints, and of distance limits of generic joints."""
+    """Convert USD distance joints, and distance limits of generic USD joints, to tendons."""
     ropes = Ropes()
     for joint in joints:
         if joint.kind == DISTANCE:
@@ -89,7 +89,7 @@ def _wide(limits: Range) -> Range:
 
 
 def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
-    """Return MuJoCo's spring with a dead band, which replaces PhysX's springs at the ends of a distance range."""
+    """Return MJCF attributes of a tendon spring that, as in PhysX, acts only outside the distance range."""
     read, units = stage.ledger.read, stage.units
     if read(prim, f"{SPRING}springEnabled", "tendon stiffness") is not True:
         return {}

@@ -21,10 +21,10 @@ KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", 
 
 
 def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
-    """Return the drive of one joint axis, None if no drive is authored.
+    """Return the drive of one joint axis; None if the USD file defines no drive.
 
-    The drive's target is clamped to the joint's ``limits`` (rad or m). ``ref`` is the MuJoCo coordinate of the joint
-    where USD's coordinate is zero.
+    The drive's target is clamped to the joint's ``limits`` (rad or m). ``ref`` is the joint's position in MuJoCo at
+    USD's joint position 0.
     """
     value = _values(stage, prim, axis.token)
     if value is None:
@@ -48,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report an omitted target velocity, which in PhysX would keep a joint ``shift`` away from its target position."""
+    """Report an omitted target velocity; in PhysX, the joint would rest ``shift`` away from its target position."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
@@ -74,7 +74,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return ``effort``, and record a finding if a drive's effort limit is a placeholder such as a huge number."""
+    """Return ``effort``; report an effort limit that is 0, or too large for any motor, as a placeholder."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -82,7 +82,7 @@ def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float |
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
-    """Clamp a joint coordinate to the joint's limits, and record an assumption if the coordinate changes."""
+    """Clamp a joint coordinate to the joint's limits, and mention a change in the conversion report."""
     if limits is None or limits[0] <= value <= limits[1]:
         return value
     inside = min(max(value, limits[0]), limits[1])
@@ -100,7 +100,7 @@ _FRICTION = (
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
 _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
-# ``_AXIS_FALLBACKS`` has PhysX's default values for attributes of the USD schema PhysxJointAxisAPI.
+# PhysX's default values of two attributes of the USD schema PhysxJointAxisAPI
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
@@ -140,7 +140,7 @@ def _authored(
 ) -> Iterator[Found]:
     for name in names:
         schema, _, what = name.partition(":")
-        # The USD schema PhysxJointAxisAPI has a value for each joint axis; all other schemas have one per joint.
+        # PhysxJointAxisAPI has one value per joint axis; all other USD schemas have one value per joint.
         if schema == "physxJointAxis":
             yield from _per_axis(stage, prim, axis, what, convert)
         else:
@@ -156,7 +156,7 @@ def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], f
 def _per_axis(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
 ) -> Iterable[Found]:
-    """Yield PhysxJointAxisAPI's values for one joint axis; a ball joint gets the strictest value of its axes."""
+    """Yield PhysxJointAxisAPI's value of ``what`` for one joint axis; a ball joint gets its axes' strictest value."""
     tokens = TURNS if axis.kind == "ball" else (axis.token,)
     found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
     values = [value for _, value in found if value is not None]
@@ -183,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether two USD attributes have the same value, or names that differ only in the joint axis."""
+    """Return whether two USD attributes have equal values, or are the same attribute of different joint axes."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 

@@ -22,7 +22,7 @@ WELD = "a weld to the parent body"
 class Joint:
     """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them.
 
-    ``excluded`` is USD's excludeFromArticulation; ``closes`` is true if the joint is not part of the spanning tree.
+    ``excluded`` is USD's excludeFromArticulation; a joint with ``closes`` stays outside the spanning tree of bodies.
     """
 
     path: str
@@ -42,11 +42,11 @@ class Joint:
 
     @property
     def welds(self) -> bool:
-        """Whether the joint has no free axis."""
+        """Whether the joint has no free axis, so that it welds two bodies together."""
         return not self.axes
 
     def side(self, link: Link | None) -> int:
-        """Return 0 if ``link`` is the joint's body0, and 1 if ``link`` is body1."""
+        """Return the index of the body ``link`` in the USD joint: 0 for body0, 1 for body1."""
         return 0 if self.links[0] is link else 1
 
     def other(self, link: Link | None) -> Link | None:
@@ -135,7 +135,7 @@ def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
 
 
 def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
-    """Return a joint's frame relative to the joint's body 0 or 1, or to the world if the joint has no such body."""
+    """Return a joint's frame in the frame of body0 or body1 (index ``i``); in the world frame without such a body."""
     position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
     rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
     if not any(rotation):
