@@ -1,8 +1,8 @@
 """Find the attribute values that the methods of an environment's step read and write.
 
-The module ``graph_capture`` needs the attribute values that a recorded CUDA graph depends on or changes. A *slot* is a
-place that holds a value: an attribute, or an entry of a dictionary or list in an attribute (see
-``state.object_graph``).
+``graph_capture`` replays a CUDA graph only while the numbers, texts, and tensor shapes that the recording depended on
+are the same. A *slot* is a place that holds a value: an attribute, or an entry of a dictionary or list in an attribute
+(see ``state.object_graph``).
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ _MOST_KNOWN = 64  # numbered combinations of settings
 
 
 class Values:
-    """All attribute values of an environment's objects that CUDA graphs of the environment's step depend on or change.
+    """The attributes of an environment and its managers that CUDA graphs of the environment's step read or write.
 
-    An attribute with a number or text is a *flag* if a captured CUDA graph's method changes the attribute, otherwise a
-    *setting*. Attributes that a captured method changes are read before each replay of a CUDA graph. An attribute that
-    no captured method changes is compared with its last value only after code that may change attributes has run.
+    A number or text that a captured method changes (a *flag*) is read before each replay of a CUDA graph. A number or
+    text that no captured method changes (a *setting*) is read again only after Python code has run.
 
     Attributes:
         is_checked: whether no code that may change settings has run since the settings were last compared.
@@ -53,7 +52,7 @@ class Values:
         self._number, self._numbers = -1, itertools.count()
 
     def objects(self) -> Iterator[Any]:
-        """Yield the environment and the objects in its attributes, except event terms that no CUDA graph contains."""
+        """Yield the environment and all objects below it, except event terms whose mode is not ``reset``."""
 
         def children(name: str, node: Any) -> Iterator[tuple[str, Any]]:
             return iter(()) if _runs_outside(node) else parts(name, node)
@@ -61,7 +60,7 @@ class Values:
         return (node for _, node in walk([("env", self._root)], children) if not _runs_outside(node))
 
     def slots(self) -> Iterator[Slot]:
-        """Yield each attribute of the environment's objects, and each entry of a dictionary or list in an attribute."""
+        """Yield all attributes of ``objects()``, and all entries of dictionaries and lists in these attributes."""
         return (slot for node in self.objects() for slot in slots(node))
 
     def key(self) -> Key:
@@ -72,7 +71,7 @@ class Values:
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Add attributes to the key that selects a CUDA graph; return whether the key lacked one of the attributes."""
+        """Include attribute values in the key of each CUDA graph; return whether one of the attributes is new."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -82,7 +81,7 @@ class Values:
         return bool(new)
 
     def difference(self, before: Key, now: Key) -> str:
-        """Return the name of an attribute whose value differs between the CUDA graph keys ``before`` and ``now``."""
+        """Return the name of an attribute that has different values in the CUDA graph keys ``before`` and ``now``."""
         (old, old_flags), (new, new_flags) = before, now
         known = {number: settings for settings, number in self._known.items()}
         pairs = [*zip(self._settings, known.get(old, ()), known.get(new, ()), strict=False)]
@@ -90,11 +89,10 @@ class Values:
         return next((str(slot) for slot, was, value in pairs if was != value), "the set of attributes")
 
     def _check(self) -> None:
-        """Compare all settings (constant attributes) with their last values, and number each new combination of values.
+        """Compare all constant attributes with their last values, and set ``_number``, which identifies the values.
 
-        Most calls of ``_check`` find no changed attribute, so ``_check`` must be fast. ``_check`` first compares the
-        object in each constant attribute with the attribute's last object by identity. ``_check`` searches the
-        environment for new constant attributes only if a dictionary or list was replaced or changed its size.
+        Most calls find no change and must be fast, so ``_check`` compares identities of the attributes' objects first.
+        ``_check`` searches for new attributes only if a dictionary or list was replaced or changed its size.
         """
         before = self._present
         if not self._places or any([len(one) != size for one, size in self._sizes]):
@@ -104,7 +102,6 @@ class Values:
         except LookupError:
             self._find_settings()
             now = self._present
-        # Compare object identities first, because this comparison is faster than a comparison of attribute values.
         if self._present is before and all(map(operator.is_, now, before)):
             return
         changed = zip(before, now, strict=True) if self._present is before else ()
@@ -114,7 +111,7 @@ class Values:
         self._present = now
         settings = tuple([kind_of(value) for value in now if not _is_container(value)])
         self._number = self._known.pop(settings, next(self._numbers))
-        # The dictionary ``_known`` is ordered by last use, so its first entry is the least recently used.
+        # Add the present entry to the end of ``_known``, so that its first entry is the least recently used.
         self._known[settings] = self._number
         if len(self._known) > _MOST_KNOWN:
             del self._known[next(iter(self._known))]
@@ -127,7 +124,7 @@ class Values:
             if is_plain(value) or isinstance(value, tuple):
                 self._settings.append(slot)
                 places[id(slot.container), slot.path[-1]] = slot.container, slot.path[-1]
-                # Record dictionaries and lists too, to detect that an attribute has got another dictionary or list.
+                # Record dictionaries and lists too, so that ``_check`` detects when code replaces a dictionary or list.
                 places |= {(id(parent), key): (parent, key) for parent, key, _ in slot.containers}
         self._places = list(places.values())
         self._present = [container[key] for container, key in self._places]
@@ -137,7 +134,7 @@ class Values:
         self._sizes = [(one, len(one)) for one in sized]
 
     def move_rebound(self, found: Sequence[Slot]) -> None:
-        """Give each attribute to which a step assigns new tensors one static tensor that all CUDA graphs share."""
+        """Copy tensors that a step newly assigned into static tensors, which all CUDA graphs share."""
         moved = []
         # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
@@ -155,21 +152,21 @@ class Values:
                 slot.set(static)
 
     def undeclared(self) -> Iterator[tuple[tuple[int, str], tuple[str, Any]]]:
-        """Yield a copy of each attribute of each manager term, with None in place of tensors, numbers, and texts."""
+        """Yield copies of all manager terms' attributes, in which None replaces tensors, numbers, and texts."""
         for term in self.objects():
             if isinstance(term, TermBase):
                 for name, value in list(vars(term).items()):
                     yield (id(term), name), (f"'{name}' of {type(term).__name__}", _undeclared_in(value))
 
     def undeclared_changes(self, before: Mapping[Any, Any]) -> Iterator[str]:
-        """Yield the name of each attribute of a manager term that differs from the attribute's copy in ``before``."""
+        """Yield the names of manager terms' attributes that have changed since ``undeclared`` returned ``before``."""
         for key, (name, now) in self.undeclared():
             if key in before and not same(now, before[key][1]):
                 yield name
 
 
 class TouchedMemory(TorchDispatchMode):
-    """Records which memory torch's operations read and write."""
+    """Records the memory addresses of all tensors that torch operations read or write."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -184,7 +181,7 @@ class TouchedMemory(TorchDispatchMode):
     def note(self, tree: Any) -> None:
         """Record the memory addresses of all tensors in a nested structure."""
         leaves = (leaf for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
-        # Two views of one tensor share a storage, so the storage identifies the memory.
+        # Record the address of each tensor's storage, because all views of a tensor share its storage.
         self._memory |= {leaf.untyped_storage().data_ptr() for leaf in leaves}
 
     def has(self, tensor: torch.Tensor) -> bool:
@@ -193,10 +190,9 @@ class TouchedMemory(TorchDispatchMode):
 
 
 def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
-    """Copy the new tensors of attributes into the attributes' previous tensors, and restore the previous tensors.
+    """Copy newly assigned tensors into the attributes' old tensors, and assign the old tensors to the attributes again.
 
-    A CUDA graph replays on fixed memory, so each attribute must hold the same tensor before and after the capture of a
-    CUDA graph.
+    Each replay of a CUDA graph reads and writes the same memory, so attributes must keep their tensors.
     """
     moved = [(slot, static, now) for slot, static in tensors if (now := slot.get()) is not static and fits(now, static)]
     copy_tensors([(static, now) for _, static, now in moved])
@@ -207,8 +203,7 @@ def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
 def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
     """Copy the second tensor of each pair into the pair's first tensor.
 
-    The source tensor of one copy can share memory with the target tensor of a later copy. Source tensors that share
-    memory with a target tensor are cloned first, so that no copy reads overwritten memory.
+    Clone source tensors that share memory with any target tensor first, because a copy could overwrite them.
     """
     targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
     copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
@@ -221,12 +216,12 @@ def _is_container(value: Any) -> bool:
 
 
 def _runs_outside(node: Any) -> bool:
-    """Return whether an object is an event term of another mode than ``reset``, which no CUDA graph contains."""
+    """Return whether an object is an event term that CUDA graphs exclude because its mode is not ``reset``."""
     return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
 def _undeclared_in(value: Any) -> Any:
-    """Copy the contents of a value, except tensors, numbers, texts, and objects of this package."""
+    """Copy a value, but replace tensors, numbers, texts, and objects of this package by None."""
     if isinstance(value, torch.Tensor) or is_plain(value) or is_own(type(value)):
         return None
     if isinstance(value, (dict, list)):
@@ -244,12 +239,12 @@ def form_of(value: Any) -> Any:
 
 
 def fits(value: Any, static: torch.Tensor) -> bool:
-    """Return whether a value is a tensor that can be copied into a given static tensor."""
+    """Return whether a value is a tensor with the shape, dtype, and device of the tensor ``static``."""
     return isinstance(value, torch.Tensor) and form_of(value) == form_of(static)
 
 
 class _Identity:
-    """A dictionary key that refers to an object, so that Python does not reuse the object's id."""
+    """A dictionary key that compares objects by identity, and keeps the object so that Python does not reuse its id."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -281,7 +276,7 @@ def is_changed(was: Any, now: Any) -> bool:
 
 
 def has_other_entries(now: Any, was: dict[Any, Any]) -> bool:
-    """Return whether the keys or the objects of a dictionary differ from its earlier copy ``was``."""
+    """Return whether a dictionary has got other keys or other value objects since its copy ``was`` was made."""
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
 
 

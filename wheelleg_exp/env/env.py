@@ -37,9 +37,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     """N parallel environments with nine managers, in the style of Isaac Lab's ``ManagerBasedRLEnv``.
 
     ``cfg`` is the composed config section ``env``, ``mjcf`` is the robot's MJCF file, and ``seed`` seeds all random
-    streams. ``step`` and ``reset`` call private methods in the order in which this file defines the methods. The
-    decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with ``env.sim.graph_step``; see
-    ``graph_capture``.
+    streams. The decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with
+    ``env.sim.graph_step``; see ``graph_capture``.
 
     Attributes:
         device: device of all tensors.
@@ -102,7 +101,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # With recorder terms, capture no CUDA graph, because recorder terms wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
-        # This line must be last, because checkpoints store all attributes that the environment gets after this line.
+        # Keep this line last in ``__init__``, because checkpoints store all attributes that the environment gets later.
         self._attributes = EnvAttributes(self, self.managers, cfg)
 
     @property
@@ -188,7 +187,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return observations, self.extras
 
     def _skipped(self) -> torch.Tensor | None:
-        """Return a mask (N,) of the environments that only reset in a step (``autoreset="next_step"``), or None."""
+        """Return a mask (N,) of environments that this step only resets; None unless ``autoreset`` is ``next_step``."""
         if self.autoreset != "next_step":
             return None
         return self.termination_manager.dones & (self.episode_length_buf > 0)
@@ -218,7 +217,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part()
     def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Read the result of the last physics step; return the masks (N,) of done and of failed environments."""
+        """Read the last physics step's result; return masks (N,) of the ended episodes and the failed simulations."""
         self.scene.update()
         self.episode_length_buf += 1
         done, unstable = self.termination_manager.compute(skipped), self.scene.unstable()
@@ -258,7 +257,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def _reset_ended(self, ended: torch.Tensor) -> None:
         """Reset the environments ``ended`` (n,).
 
-        Reset environments whose NaN reward the host detected too late for the normal reset of the control step.
+        Also reset environments whose NaN reward has reached the host only after ``_end_episodes``.
         """
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
@@ -268,13 +267,13 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        # ``_end_episodes`` did not wait for the GPU to compute the rewards, so find NaN rewards here.
+        # Find NaN rewards here, because ``_end_episodes`` did not wait until the GPU had computed all rewards.
         failed, not_reset = self._ended.late()
         self._end_failed(failed)
         if len(not_reset):
             log = self.extras.get("log") if self.extras["log_is_fresh"] else None
             self._reset_idx(not_reset)
-            # If episodes of both kinds ended, report the log of the episodes that did not fail.
+            # If this step has already reset other environments, keep the log of their episodes.
             self.extras["log"] = log or self.extras["log"]
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
@@ -335,7 +334,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.refresh()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all state that later steps depend on; raise ConfigError if a term holds state that cannot be saved."""
+        """Return the environment's complete state; raise ConfigError if a term holds state that cannot be saved."""
         attributes = self._attributes.save()
         managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {

@@ -1,4 +1,4 @@
-"""Save the attributes that terms add to the environment, and reject state that terms store anywhere else."""
+"""Save attributes that manager terms add to the environment; raise ConfigError for state that cannot be saved."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from wheelleg_exp.state.object_graph import PLAIN
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
-# The environment itself or its caller sets these attributes, so they are not state of manager terms.
+# Manager terms do not set these attributes of the environment; the environment or its caller sets them.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
 
 
 class EnvAttributes:
-    """Saves the attributes that terms add to the environment, and rejects state that terms store anywhere else.
+    """Saves and restores the attributes that manager terms add to the environment.
 
-    Raise ConfigError if a term holds state that cannot be saved, or has written to the compiled model.
+    Raise ConfigError if a manager term holds state that cannot be saved, or has changed the compiled MuJoCo model.
     """
 
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
@@ -44,7 +44,7 @@ class EnvAttributes:
     def save(self) -> dict[str, Any]:
         """Return the attributes of the environment that terms have added or changed.
 
-        Raise ConfigError if a term holds state outside of the term's own attributes and the environment.
+        Raise ConfigError if a term stores state anywhere except in attributes of the term and of the environment.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()

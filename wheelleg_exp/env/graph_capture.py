@@ -10,16 +10,16 @@ captured method uses (terms, managers, robot, sensors) is:
 
 - **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A captured method may write to a
   tensor, or assign a new tensor of equal shape to an attribute.
-- **Settings** are attributes that hold a number, a text, None, or a tuple. If a setting changes, a CUDA graph that was
-  recorded with the old value is not replayed. ``GraphCapture`` records a separate CUDA graph of a method for each
-  frequent combination of the environment's attribute values.
+- **Settings** are attributes that hold a number, a text, None, or a tuple. If a number in an attribute changes,
+  ``GraphCapture`` does not replay a graph that was recorded with the old number. For each frequent combination of
+  numbers and texts in the attributes, ``GraphCapture`` records a separate graph.
 - A captured method may also change a number or text, if the new value depends only on the old numbers and texts.
 - All other values that a captured method changes are undeclared: a number that counts up, a growing list, a deque, a
-  tuple of tensors, a module, or a foreign object. A method that changes undeclared values (such as a counter or a list)
-  or waits for the GPU runs without a CUDA graph. A warning names the reason.
+  tuple of tensors, a module, or a foreign object. A method that changes a counter or a list, or that waits for the GPU,
+  runs without a CUDA graph. A warning names the reason.
 
-Each method runs twice as Python code before the method is recorded as a CUDA graph. In a method's second run, the
-attributes before the run are compared with the attributes after the run.
+Each method runs twice as Python code before the method is recorded as a CUDA graph. ``GraphCapture`` finds the
+attributes that a method changes by comparing them before and after the second run.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from wheelleg_exp.state.object_graph import Slot, is_plain
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
-# A step method has at most 8 CUDA graphs; the reset has at most 128, one for each number of environments.
+# Record at most 8 CUDA graphs per method, but 128 of the reset, one for each number of environments to reset.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# ``CapturedPart`` counts how often the environment had equal attribute values in a method's last 1024 calls.
+# Count how often each combination of attribute values occurred among a method's last 1024 calls.
 _WINDOW = 1024
-# Warn if a step method's calls without a CUDA graph outnumber its calls with a CUDA graph by 256.
+# Warn after 256 more runs of a method as Python code than as a CUDA graph.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -55,9 +55,9 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
     """Mark a method of the environment's step that may be captured as a CUDA graph.
 
-    If ``to_caller`` is true, ``GraphCapture`` copies the result of the decorated method out of the CUDA graph's memory,
-    because the environment's caller receives this result. The environment's caller may change attributes, so
-    ``GraphCapture`` compares all attribute values before it replays the next CUDA graph.
+    If ``to_caller`` is true, the environment returns the result to its caller, so ``GraphCapture`` copies the result
+    out of the CUDA graph's memory. The caller may change attributes of the environment, so ``GraphCapture`` compares
+    them before the next replay.
     """
 
     def decorate(method: Method) -> Method:
@@ -75,7 +75,7 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
 def host_part(method: Method) -> Method:
     """Mark a method that always runs as Python code and may change any attribute, for example by calling user code.
 
-    If a method marked by ``host_part`` returns False, the method has changed no attribute.
+    A decorated method returns False to state that it has changed no attribute.
     """
 
     @functools.wraps(method)
@@ -98,7 +98,7 @@ class Graph(Protocol):
         """Record the work."""
 
     def replay(self) -> None:
-        """Repeat the recorded kernels on the memory that these kernels used during the capture of the CUDA graph."""
+        """Run the recorded kernels again, on the same memory as during the recording."""
 
 
 class CudaGraph:
@@ -111,12 +111,12 @@ class CudaGraph:
     def _make(self) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
         for generator in self._generators:
-            # A CUDA graph does not accept subclasses of Generator, so use graphsafe_get_state to get a plain Generator.
+            # CUDA graphs reject subclasses of torch.Generator, but graphsafe_get_state returns a plain torch.Generator.
             graph.register_generator_state(generator.graphsafe_get_state())
         return graph
 
     def record(self, work: Callable[[], None]) -> None:
-        """Record the kernels that the function ``work`` launches; the kernels do not run before the first replay."""
+        """Record the kernels that the function ``work`` launches, without running them."""
         torch.cuda.synchronize()
         stream, failed = torch.cuda.current_stream(), []
         try:
@@ -127,12 +127,12 @@ class CudaGraph:
                     failed.append(error)
                     raise
         except Exception as error:
-            # If the capture of a CUDA graph fails at its end, the capture's stream remains torch's current stream.
+            # Restore the stream, because a capture that fails at its end leaves its stream as torch's current stream.
             torch.cuda.set_stream(stream)
-            # Random generators of a failed capture are blocked until a later capture ends, so capture one kernel here.
+            # Capture one kernel, because torch blocks the random generators of a failed capture until a later capture.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # Raise the error of ``work``, because torch's error does not name the term.
+            cause = (failed or [error])[0]  # Prefer the error of ``work``, which names the failed manager term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -146,7 +146,7 @@ class GraphCapture:
     def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
-        # Curricula and recorders log Python numbers, so a reset runs their managers after the CUDA graph's replay.
+        # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.
         self._reset_later = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
         self._env, self._make_graph = env, make_graph
@@ -182,7 +182,7 @@ class GraphCapture:
 
 @dataclass
 class Recording:
-    """One recorded CUDA graph of a method, and the attribute values to copy before and after each replay.
+    """A recorded CUDA graph of a method, and the attributes that each replay reads and assigns.
 
     Attributes:
         buffers: the tensor attributes that the method reads or writes, and the CUDA graph's tensor for each attribute.
@@ -213,7 +213,7 @@ class Recording:
         self._containers = list(found.values())
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy attribute values and arguments into the CUDA graph's memory; return attributes that do not fit."""
+        """Copy attribute values and arguments to the CUDA graph's tensors; return attributes that cannot be copied."""
         try:
             if not all([parent[key] is container for parent, key, container in self._containers]):
                 self._find_places()
@@ -237,7 +237,7 @@ class Recording:
         return []
 
     def replay(self) -> Any:
-        """Replay the CUDA graph of a method, and assign the attributes that the method assigns in Python code."""
+        """Replay the CUDA graph, and repeat the method's assignments to attributes, which are not part of the graph."""
         self.graph.replay()
         for slot, content in self.filled:
             whole = slot.get()
@@ -252,11 +252,11 @@ class Recording:
 class CapturedPart:
     """One method of the environment's step, and the CUDA graphs recorded from it.
 
-    The function ``work`` runs the method of the step and returns tensors. If ``is_reset`` is True, ``work`` resets
-    environments and returns a dictionary of logged numbers. The number of environments to reset differs from call to
-    call. All methods captured from one environment share the object ``values``, which reads the environment's
-    attributes. The function ``reset_caches`` deletes the robot's cached quantities before each run of the method or
-    replay of a CUDA graph. ``streams`` returns the generators of all random streams.
+    The function ``work`` is the method to capture, which returns tensors. If ``is_reset`` is True, ``work`` resets any
+    number of environments and returns a dictionary of logged numbers. All methods captured from one environment share
+    the object ``values``, which reads the environment's attributes. The function ``reset_caches`` deletes the robot's
+    cached quantities before each run of the method or replay of a CUDA graph. ``streams`` is a function that returns
+    all random generators of the environment.
     """
 
     def __init__(
@@ -288,7 +288,7 @@ class CapturedPart:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # Delete all CUDA graphs, because their keys lack an attribute that was now found to change.
+            # Delete all recorded CUDA graphs, because their keys do not contain an attribute that a method changes.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -307,7 +307,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # Do not store a CUDA graph if an attribute that the graph's key lacks changed during the recording.
+                # Store the CUDA graph only if its key contains every attribute that changed during the recording.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -320,11 +320,11 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[Any, ...]) -> Any:
-        self._values.is_checked = False  # A run in Python may change any attribute of the environment's objects.
+        self._values.is_checked = False  # Python code may change any attribute of the environment.
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
-        """Count a call of a method; return how many of the method's last 1024 calls had the same attribute values."""
+        """Store the attribute values ``key`` of a call; return how many of the last 1024 calls had these values."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -335,20 +335,19 @@ class CapturedPart:
         return self._counts[key]
 
     def _is_worth(self, key: Key, count: int) -> bool:
-        """Return whether the environment had its present attribute values in enough calls to record a CUDA graph."""
+        """Return whether the attribute values ``key`` occurred often enough to record a CUDA graph for them."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # Replace the least used CUDA graph only if the new graph's attribute values occurred in twice as many calls.
+        # Replace the least used CUDA graph only if the new attribute values occurred at least twice as often.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Delete a CUDA graph, because tensors of the attributes ``unfit`` cannot be copied into the graph's memory.
+        """Delete a CUDA graph into whose memory the tensors of the attributes ``unfit`` cannot be copied.
 
-        Later CUDA graphs are replayed only if the tensors of ``unfit`` have the same shapes and types as in the
-        capture.
+        Keys of later CUDA graphs contain the shapes and types of the tensors in ``unfit``.
         """
         del self.recordings[key]
         self._values.add_flags(unfit)
@@ -399,8 +398,8 @@ class CapturedPart:
         return found
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
-        """Record a method as a CUDA graph; return None if this fails, for example if the method waits for the GPU."""
-        # Each registered random stream costs two kernel launches per replay, so try to register only used streams.
+        """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
+        # First register only used random streams, because each registered stream costs two kernel launches per replay.
         for streams in (self._drawn, self._streams()):
             try:
                 return self._record(args, self._make_graph(streams))
@@ -437,7 +436,7 @@ class CapturedPart:
         try:
             graph.record(work)
         except Exception:
-            # A failed capture has run no kernels, so restore the attribute values from before the capture.
+            # Restore the old attribute values, because a failed capture has run no kernels that compute new values.
             for slot, content in dictionaries:
                 slot.set(content)
             for slot, value in (*tensors, *others):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
-# These keys of Isaac Lab's config have another path in this project's config.
+# Map keys of Isaac Lab's environment config to their paths in this project's config section ``env``.
 _OTHER_PATHS = {"scene.num_envs": "num_envs", "sim.render_interval": "decimation"}
 
 

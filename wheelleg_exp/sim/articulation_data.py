@@ -72,7 +72,7 @@ class ArticulationData(RobotData):
         axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
-        # ``_vel_before`` has the bodies' velocities before the last physics step. None: no acceleration was read.
+        # ``_vel_before`` stores the bodies' velocities before the last physics step; None until accelerations are read.
         self._vel_before: torch.Tensor | None = None
         self._acc_valid = torch.zeros(n, 1, 1, device=device)
 
@@ -82,7 +82,7 @@ class ArticulationData(RobotData):
     device = alias_of("_sim.device", "Device of the tensors.")
 
     def update(self, dt: float) -> None:
-        """Do nothing, because each of the robot's quantities is computed when code reads the quantity."""
+        """Do nothing, because properties such as ``root_pos_w`` compute their values when code reads them."""
         del dt
 
     @cached_until_change
@@ -206,10 +206,9 @@ class ArticulationData(RobotData):
         After a reset or a write of velocities, all accelerations are 0 until the next physics step.
         """
         if self._vel_before is None:
-            # The first read of an acceleration must compute the bodies' velocities before the last physics step.
-            # Set the engine's qpos and qvel to their values before the last physics step, and call ``forward``.
-            # Once the velocities are known, restore the engine's present qpos and qvel.
-            # After the first read of an acceleration, each physics step starts by storing the bodies' velocities.
+            # At the first read of accelerations, the bodies' velocities before the last physics step are unknown.
+            # Compute the bodies' old velocities with ``forward``, from the qpos and qvel before the last physics step.
+            # After the first read, ``before_step`` stores the bodies' velocities before each physics step.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
             self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))

@@ -63,12 +63,12 @@ class BatchEngine(Engine):
 
     @property
     def motion(self) -> torch.Tensor:
-        """View of the positions and velocities in ``state``, (N, nq + nv), with the positions first."""
+        """Positions (qpos) followed by velocities (qvel) of all simulations, (N, nq + nv), as a view of ``state``."""
         return self._motion
 
     def view(self, name: str) -> torch.Tensor:
         if name not in self._views:
-            with warnings.catch_warnings():  # Hide torch's warning that the tensor of a read-only array is writable.
+            with warnings.catch_warnings():  # Hide torch's warning about read-only NumPy arrays.
                 warnings.simplefilter("ignore", UserWarning)
                 self._views[name] = torch.from_numpy(self.batch.bind(name))
         return self._views[name]
@@ -102,7 +102,7 @@ class BatchEngine(Engine):
             self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        rows = self.state.index_select(0, ids)  # A reset of the engine keeps finite positions and velocities.
+        rows = self.state.index_select(0, ids)  # Keep finite positions and velocities; reset events write new ones.
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
@@ -137,13 +137,13 @@ class BatchEngine(Engine):
         """Return the engine's state; raise ConfigError if a term expanded a field with MuJoCo's ``Batch.expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
-                f"a term called MuJoCo's 'Batch.expand' for {' and '.join(hidden)}, whose values no checkpoint saves",
+                f"checkpoints do not save {' and '.join(hidden)}, which a term expanded with MuJoCo's 'Batch.expand'",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
         at_set_const = None
         if self._at_set_const is not None:
-            # ``at_set_const`` stores the model fields as the last call of MuJoCo's ``set_const`` read them.
+            # Save the old values of model fields that were changed after the last call of MuJoCo's ``set_const``.
             then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
             at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {
@@ -154,7 +154,7 @@ class BatchEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        # Repeat the last ``set_const`` before the save with the same model fields; then load the saved model fields.
+        # Call ``set_const`` with the same model fields as its last call in the saved run; then load all saved fields.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)

@@ -27,7 +27,7 @@ def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
 
 
 def joined(first: str, second: str, doc: str) -> property:
-    """Make a cached property that concatenates two other properties along the last dimension."""
+    """Make a cached property that concatenates the tensors of two properties, such as a position and a quaternion."""
 
     def compute(self: Any) -> torch.Tensor:
         return torch.cat((getattr(self, first), getattr(self, second)), dim=-1)

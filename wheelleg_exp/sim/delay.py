@@ -16,9 +16,9 @@ class DelayBuffer:
     """A buffer of the last samples of each environment; ``push`` returns the sample stored ``lag`` calls earlier.
 
     The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab, ``push`` returns
-    the first sample since the last reset while an environment has had at most ``lag`` samples since then. Each reset
-    draws an environment's lag uniformly from the range ``lags``; before the first reset, the lag is 0. The buffer takes
-    only samples that have the shape and device of ``sample``, for example (N, 3) for N environments.
+    the first sample after a reset until ``lag`` later samples have been stored. Each reset draws an environment's lag
+    uniformly from the range ``lags``; before the first reset, the lag is 0. All samples must have the shape and device
+    of ``sample``, for example (N, 3) for N environments.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
@@ -87,7 +87,7 @@ class TargetDelay(Stateful):
         self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
-        """Store a physics step's joint targets; return delayed targets, valid only for the joints ``joint_ids``."""
+        """Store joint targets; return the delayed targets of the joints ``joint_ids``, and 0 for all other joints."""
         ids = self._ids
         now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
         self._seen[:, :, ids] = self._past.push(now)

@@ -17,8 +17,8 @@ WRENCHES = "wrenches"
 class Engine(Kept, ABC):
     """N simulations of one model.
 
-    State fields are always current. After a call of ``derived``, each physics step updates the quantities that depend
-    on positions and velocities. Torques and contact forces belong to the last physics step, as in PhysX and Isaac Lab.
+    State fields are always current. Once code has called ``derived``, each physics step also updates quantities such as
+    ``xpos`` and ``cvel``. Torques and contact forces belong to the last physics step, as in PhysX and Isaac Lab.
 
     Attributes:
         name: the engine's name in ``env.sim.engine``.
@@ -31,7 +31,7 @@ class Engine(Kept, ABC):
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: names of the model fields, and ``WRENCHES``, that terms have obtained from the engine and may have
-            changed. After each call of an event term, the event manager clears the set ``asked`` of model field names.
+            changed. The event manager empties the set ``asked`` after each call of an event term.
     """
 
     name: ClassVar[str]
@@ -70,7 +70,7 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def derived(self, name: str) -> torch.Tensor:
-        """Return a view (N, ...) of a quantity that depends on positions and velocities; each step updates the view."""
+        """Return a view (N, ...) of a quantity such as ``xpos``, which each physics step updates from now on."""
 
     def may_differ(self, name: str) -> bool:
         """Return whether a model field can have one value per simulation."""
@@ -107,8 +107,7 @@ class Engine(Kept, ABC):
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        ``reset`` replaces positions and velocities that are NaN or inf by the model's defaults, but does not change
-        finite positions and velocities.
+        ``reset`` replaces NaN and inf in positions and velocities by the model's defaults, and keeps finite values.
         """
 
     @abstractmethod

@@ -23,7 +23,7 @@ def chosen(ids: Ids, everything: torch.Tensor) -> torch.Tensor:
 
 
 def not_finite(values: torch.Tensor) -> torch.Tensor:
-    """Return a mask of the values that are NaN or inf, for which ``x - x`` is NaN."""
+    """Return a mask of the values that are NaN or inf; for all other values x, ``x - x`` is 0."""
     return values - values != 0.0
 
 
@@ -37,7 +37,7 @@ def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> t
 def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
     """Set the rows ``ids`` of a tensor (N, ...) to a number.
 
-    The assignment ``values[ids] = number`` would copy from the host, which a CUDA graph cannot do.
+    A CUDA graph cannot contain ``values[ids] = number``, because this assignment copies the number from the host.
     """
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         values.index_fill_(0, ids, number)

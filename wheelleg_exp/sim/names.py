@@ -48,8 +48,8 @@ def values_by_name(
 ) -> list[Any]:
     """Return one value for each name, given one number or a mapping from regular expressions to values.
 
-    A name that no regular expression matches gets the value ``default``. The function ``match_names`` raises the errors
-    for invalid regular expressions of names.
+    A name that no regular expression matches gets the value ``default``. Raise ConfigError if a regular expression is
+    invalid or matches no name.
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
@@ -88,7 +88,7 @@ def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigErro
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
     """Return an error for each joint that two actuator groups, or two action terms, drive at once.
 
-    ``claims`` has the name, the config key, and the joints of each actuator group or action term.
+    ``claims`` lists a tuple (name, config key, joints) for each actuator group or action term.
     """
     owner: dict[str, str] = {}
     errors = []

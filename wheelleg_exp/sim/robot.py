@@ -90,7 +90,7 @@ class Robot(RobotWriters):
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # ``_wrench`` (external forces and torques) has the same memory order as the result of ``quat_to_matrix``.
+        # Store external forces and torques in the memory order of ``quat_to_matrix``, so that they are fast to rotate.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
@@ -102,7 +102,7 @@ class Robot(RobotWriters):
         return torque
 
     def _targets_of_joints(self) -> JointTargets:
-        """Return the joint targets minus the encoder bias, because a joint's drive controls the encoder's reading."""
+        """Return joint targets minus the encoder bias, because a drive moves the encoder's reading to the target."""
         if not self.data.has_encoder_bias:
             return self.targets
         return JointTargets(self.targets.pos - self.data.encoder_bias, self.targets.vel, self.targets.effort)
@@ -172,11 +172,11 @@ class Robot(RobotWriters):
 
     @property
     def is_stale(self) -> bool:
-        """Whether code has written the robot's state since derived quantities were last computed."""
+        """Whether the robot's state was written after quantities such as link poses were last computed."""
         return bool(self._stale)
 
     def take_stale(self) -> torch.Tensor:
-        """Return the ids (n,) of the environments whose robot state was written since the last call of this method."""
+        """Return ids (n,) of the environments whose robot state was written since the last call of ``take_stale``."""
         ids = self._stale[0] if len(self._stale) == 1 else ids_where(self._stale_rows())
         self._stale = []
         return ids

@@ -76,7 +76,7 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Create the view of actuator torques now, because a new view contains zeros until the next physics step.
+        # Create the torque view before the first physics step, because a new view contains zeros until the next step.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:
@@ -85,12 +85,12 @@ class RobotData(Kept):
         self._shows_outputs = False
 
     def outputs_refreshed(self) -> None:
-        """Clear the cache if it contains outputs of the engine, because the engine has just computed new outputs."""
+        """Clear the cache if it contains results of the engine, such as link poses, which were just recomputed."""
         if self._shows_outputs:
             self.invalidate()
 
     def _output(self, name: str) -> torch.Tensor:
-        """Return an output of the engine; after a write of the state, outputs are outdated until ``Scene.refresh``."""
+        """Return a result of the engine; after a write of the state, call ``Scene.refresh`` before reading results."""
         self._shows_outputs = True
         return self._sim.derived(name)
 
@@ -99,11 +99,11 @@ class RobotData(Kept):
         self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
-        """Store joint velocities (n, k) as the velocities before the last physics step, to make ``joint_acc`` zero."""
+        """Store joint velocities (n, k), rad/s, as those before the last physics step; this sets ``joint_acc`` to 0."""
         self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:
-        """Store the joint torques of every environment after a physics step."""
+        """Store the actuator torques of a physics step, and clear the cached quantities."""
         if not self._all_valid:
             self._torque_valid.fill_(1.0)
             self._all_valid = True
@@ -296,7 +296,7 @@ class RobotData(Kept):
     @cached_until_change
     def body_lin_vel_w(self) -> torch.Tensor:
         """Velocities of the centres of mass of the robot's links, m/s, (N, B, 3)."""
-        # MuJoCo's cvel is the velocity of a body's point at the centre of mass of the whole kinematic tree.
+        # Shift MuJoCo's cvel, which refers to the whole robot's centre of mass, to each link's centre of mass.
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
         offset = self._output("xipos")[:, self._body_ids] - tree_com

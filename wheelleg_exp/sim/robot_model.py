@@ -125,7 +125,7 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
     if len(roots) != 1:
         message = f"the file contains {len(roots)} robots"
         raise AssetError(message, key=str(mjcf), expected="exactly one tree of moving bodies")
-    roots[0].simple = 0  # If body.simple is 1, MuJoCo ignores a shift of the centre of mass.
+    roots[0].simple = 0  # MuJoCo ignores changes of a body's centre of mass if body.simple is 1.
     return spec, str(roots[0].name)
 
 

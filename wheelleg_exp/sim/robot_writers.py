@@ -108,7 +108,7 @@ class RobotWriters(Kept):
     def find_bodies(
         self, name_keys: str | Sequence[str], preserve_order: bool = False, *, key: str | None = None
     ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the bodies that regular expressions match, as ``find_joints`` does for joints."""
+        """Return indices and names of matching bodies; raise ConfigError if a regular expression matches no body."""
         return match_names(name_keys, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
     def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
@@ -229,9 +229,9 @@ class RobotWriters(Kept):
     ) -> None:
         """Apply forces (n, k, 3), N, and torques (n, k, 3), N·m, to bodies until the next reset of ``env_ids``.
 
-        The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the frames of the links.
-        The forces and torques on a link are in link axes and rotate with the link. With ``is_global``, forces, torques
-        and positions are given in world axes, and rotate with the links after the call.
+        The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the frames of the links. The
+        forces and torques on a link are in link axes and rotate with the link. If ``is_global`` is true, all vectors
+        are given in world axes, but the forces and torques still rotate with the links.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -261,7 +261,7 @@ class RobotWriters(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        # A change of ``_wrench_bodies`` needs a new CUDA graph, so a body without external force stays in this tuple.
+        # Never remove a body from ``_wrench_bodies``, because each change of this tuple needs a new CUDA graph.
         if not set(body_ids) <= set(self._wrench_bodies):
             self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
@@ -361,12 +361,12 @@ class RobotWriters(Kept):
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """Write the parameter ``name``, a gain or a limit, of the actuators.
+        """Set the parameter ``name`` of the actuators, such as ``stiffness``.
 
-        For each group of implicit actuators, return its slice of MuJoCo's actuators, its values (n, k), and a mask
-        (k,) of the joints in ``joints``. MuJoCo's solver computes the torques of implicit actuators.
+        For each implicit actuator group, return a slice of MuJoCo's actuators, values (n, k), and a mask (k,) of set
+        joints. MuJoCo's solver computes the torques of implicit actuators.
         """
-        self._has_new_targets = True  # New gains change the controls of MuJoCo actuators.
+        self._has_new_targets = True  # Recompute the MuJoCo controls, because they depend on the gains.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)

@@ -54,7 +54,7 @@ def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     parts, table, n = q.T.contiguous(), _on(_PRODUCTS_TO_MATRIX, q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    # A matrix-vector product (n = 1) and a matrix product sum in different orders, so their last bits differ.
+    # Matrix-vector products (n = 1) and matrix products add numbers in different orders, so their last bits differ.
     if n == 1:
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)

@@ -34,8 +34,8 @@ class Scene(Kept):
     """The ground, the robot and the sensors of N environments.
 
     Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``
-    is called, the scene's model is a MuJoCo spec that event terms can edit. ``stream`` returns the random stream for a
-    config key.
+    is called, the scene's model is a MuJoCo spec that event terms can edit. ``stream`` is a function that returns a
+    random generator for a config key.
     """
 
     outside_graphs = ("_compiled", "spec", "options", "_sim_options")
@@ -73,7 +73,7 @@ class Scene(Kept):
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
         # In each contact of robot and ground, PhysX uses the average of the two friction coefficients.
-        # MuJoCo uses the friction of the geom with higher priority, so give the robot's geoms priority and the average.
+        # MuJoCo uses the friction of the geom with higher priority, so raise the priority of the robot's geoms.
         ground = self.terrain.friction(robot.friction_source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
@@ -189,7 +189,7 @@ class Scene(Kept):
         return self._unstable
 
     def motion(self) -> dict[str, torch.Tensor]:
-        """Return positions and velocities of the simulations, (N, ...), by the names that reports of failures use."""
+        """Return qpos and qvel of all simulations, (N, ...), by the names ``positions`` and ``velocities``."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
     def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
@@ -243,12 +243,12 @@ class Scene(Kept):
         return log
 
     def refresh(self) -> None:
-        """Recompute quantities derived from the present state, even if no method of the robot wrote that state."""
+        """Recompute link poses and sensor data after writes of the robot's state, and clear the robot's cache."""
         self.show_written()
         self.robot.data.invalidate()
 
     def show_written(self) -> None:
-        """Recompute the derived quantities of those environments whose state the robot's methods have written."""
+        """Recompute link poses and sensor data of the environments whose robot state was written."""
         if self.robot.is_stale:
             ids = self.robot.take_stale()
             self.sim.forward(ids)

@@ -30,7 +30,7 @@ class GeomBoxes:
         self._all_high = self._high[ends].max(axis=0, initial=-np.inf)
 
     def reached(self, origins: Floats, directions: Floats) -> npt.NDArray[np.bool_]:
-        """For n blocks of rays (n, R, 3), return a mask (n, G) of at least those geoms that each block's rays hit."""
+        """Return a mask (n, G) of the geoms that the R rays of each of n blocks may hit."""
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
@@ -40,10 +40,10 @@ class GeomBoxes:
         return found
 
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Clip rays to the box around all geoms; return the lower and upper corners (n, R, 3) of a box around each ray.
+        """Clip rays to the bounding box of all geoms; return two corners (n, R, 3) of a box around each clipped ray.
 
         The slab method (Kay and Kajiya 1986) clips each ray to the bounding box of all geoms. A ray that misses the
-        bounding box of all geoms gets an empty box, whose lower corner is inf and whose upper corner is -inf.
+        bounding box of all geoms gets the lower corner inf and the upper corner -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -67,8 +67,7 @@ class StaticGeoms:
     """Casts rays against a group of static geoms, whose poses and sizes are the same in all simulations.
 
     Rays against static geoms are cast in a model without the robot, because MuJoCo tests each ray against every geom.
-    The function ``alone`` returns a model that contains only the static geoms, with unchanged names. The function
-    ``alone`` is called at the first ray cast.
+    At the first ray cast, ``alone()`` makes a model that contains only the static geoms, with unchanged names.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:
@@ -78,7 +77,7 @@ class StaticGeoms:
         self._is_same: bool | None = None
 
     def are_still(self, expanded: Collection[str]) -> bool:
-        """Return True if rays can be cast in a model without the robot because no event has edited the static geoms."""
+        """Return whether no event has edited the static geoms, so that a model without the robot is enough for rays."""
         if self._is_same is None:
             alone, here = self._make(), np.flatnonzero(self._model.geom_group == self._group)
             self._is_same = len(here) == alone.ngeom
@@ -103,7 +102,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # The simulation ``ids[k]`` of MuJoCo's batch casts row k of the rays ``starts[some]`` and ``ways[some]``.
+            # Simulation k of the MuJoCo batch casts the rays in row k of ``starts[some]`` and ``ways[some]``.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

@@ -16,9 +16,9 @@ _SLACK = 1e-3  # s
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
     """Return False if none of the ``timers`` on a GPU can have expired; always return True for timers on a CPU.
 
-    ``timers`` are the remaining times, s, (n,). Each call of ``may_be_due`` subtracts ``dt``, the time since the last
-    call, s, from a copied remaining time. Expired timers restart with at least ``least`` seconds. Code that sets a
-    timer to less than ``least`` seconds must call ``forget``, which discards the remaining times copied from the GPU.
+    ``timers`` are the remaining times, s, (n,). ``dt`` is the time since the last call of ``may_be_due``, s. An expired
+    timer must restart with at least ``least`` seconds. Code that sets a timer to less than ``least`` seconds must call
+    ``forget`` afterwards.
     """
     if not timers.is_cuda:
         return True
@@ -28,7 +28,7 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
 
 
 def forget() -> None:
-    """Discard remaining times that were copied from the GPU; call ``forget`` after code has changed timers."""
+    """Discard the remaining times that were copied from the GPU; call this function after changing timers."""
     _bounds.clear()
 
 

@@ -18,7 +18,7 @@ from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
 # By default, the contact buffer has room for 24 contacts per simulation; a robot that lies on the ground has about 12.
 _CONTACTS = 24
-_ON_RELIEF = 48  # A height field or mesh touches one geom at several points, so its contact buffer is larger.
+_ON_RELIEF = 48  # With a height field or mesh, one geom has several contact points, so the contact buffer is larger.
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
@@ -60,11 +60,11 @@ class Overflow:
         self._seen = torch.zeros((), dtype=flags.dtype, device="cpu", pin_memory=flags.is_cuda)
 
     def look(self) -> None:
-        """Start to copy the overflow flags to the host; ``require_none`` reads the flags once they have arrived."""
+        """Start to copy the overflow flags to the host, without waiting; ``require_none`` reads the copy."""
         self._seen.copy_((self._flags & (self._rows | self._contacts)).amax(), non_blocking=True)
 
     def require_none(self, data: Any) -> None:
-        """Raise SimulationFailure if overflow flags that have arrived on the host report an overflow."""
+        """Raise SimulationFailure if the overflow flags on the host report too many contacts or constraint rows."""
         flags = int(self._seen)
         if not flags:
             return
@@ -89,7 +89,7 @@ class WarpEngine(Engine):
 
     The engine's physics steps agree with MuJoCo's physics steps to single precision. On a GPU, two runs from one state
     diverge, because the order of contacts and sums differs from run to run. On the CPU, a run with mujoco-warp is
-    bit-reproducible. ConfigError means a missing package or device, or a model that mujoco-warp does not support.
+    bit-reproducible. Raise ConfigError if a package or device is missing, or if mujoco-warp does not support the model.
     """
 
     name = "warp"
@@ -139,14 +139,14 @@ class WarpEngine(Engine):
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
         most_kept = dict.fromkeys(_MOTION, _HUGE)
-        # ``_rows`` has the array, initial values, and limit of each state field; a reset keeps values below the limit.
+        # ``_rows`` maps state fields to (array, initial values, limit); a reset keeps values below the limit.
         self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
 
     @property
     def state(self) -> torch.Tensor:  # type: ignore[override]  # read-only
-        """A copy of the numbers that determine the next physics step, with one row per simulation, (N, k)."""
+        """A copy of all state fields (qpos, qvel, ...), with one row per simulation, (N, k)."""
         return torch.cat([value.reshape(self.num_envs, -1).float() for value in self._state.values()], dim=1)
 
     def view(self, name: str) -> torch.Tensor:
@@ -182,7 +182,7 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
-            # The outputs of MuJoCo's ``set_const`` get new arrays, so captured CUDA graphs are no longer valid.
+            # Discard captured CUDA graphs, because the model fields that ``set_const`` computes get new arrays.
             self._graphs.forget()
             for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
                 self._fields.expand(name)
@@ -211,7 +211,7 @@ class WarpEngine(Engine):
             self._derive()
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        del ids  # On a GPU, it is cheaper to compute all simulations than to select some of them.
+        del ids  # Recompute all simulations, because selecting some of them on a GPU takes longer.
         if self._current:
             self._graphs.run("forward", self._derive)
 
@@ -238,7 +238,7 @@ class WarpEngine(Engine):
         self._wp.launch(kernel, dim=dim, inputs=inputs, device=self._graphs.place)
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return 0, or NaN if positions or velocities of the simulations ``rows`` are not finite."""
+        """Return 0 if all positions and velocities of the simulations ``rows`` are finite, otherwise NaN."""
         total = torch.zeros(1, device=self.device)
         ids = rows if isinstance(rows, torch.Tensor) and rows.dtype is torch.int64 else self._all_ids[rows]
         with self._graphs.here():
@@ -263,7 +263,7 @@ class WarpEngine(Engine):
         ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
         points, ways = origins.to(self.dtype), directions.to(self.dtype)
-        # mujoco-warp casts equally many rays in all simulations, so simulations outside ``ids`` cast unused rays.
+        # mujoco-warp always casts rays in all simulations, so ignore the results of simulations outside ``ids``.
         if ids is not None:
             shape = (self.num_envs, *points.shape[1:])
             points = points.new_zeros(shape).index_copy_(0, ids, points)
@@ -285,7 +285,7 @@ class WarpEngine(Engine):
         return far if ids is None else far[ids]
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
-        del alone  # The poses of static geoms are computed only once, here.
+        del alone  # Compute the poses of static geoms only once, because they never change.
         with self._graphs.here():
             self._mjw.kinematics(self._m, self._d)
         self._still.add(geom_group)

@@ -14,7 +14,7 @@ def restore(
     initial: wp.array(dtype=wp.float32),
     huge: wp.float32,
 ) -> None:
-    """In the simulations ``ids``, replace values that are NaN or at least ``huge`` in magnitude by initial values."""
+    """Replace NaN and values of magnitude ``huge`` or more by initial values, in the simulations ``ids``."""
     row, column = wp.tid()
     world = int(ids[row])
     if not wp.abs(values[world, column]) < huge:
@@ -23,7 +23,7 @@ def restore(
 
 @wp.kernel
 def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.array(dtype=wp.bool)) -> None:
-    """Mark the simulations in which a value is NaN or has a magnitude of at least ``huge``."""
+    """Set ``found`` to True for each simulation with a value that is NaN or has the magnitude ``huge`` or more."""
     world = wp.tid()
     for column in range(values.shape[1]):
         if not wp.abs(values[world, column]) < huge:

@@ -25,16 +25,16 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
     try:
         import warp as wp
 
-        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Warp reads wp.config only in wp.init.
+        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Set wp.config before wp.init reads it.
             wp.config.log_level = wp.LOG_WARNING
             # Without gradient kernels, which the simulation does not use, Warp kernels compile in half the time.
             wp.config.enable_backward = False
             if not os.environ.get("WARP_CACHE_PATH"):
                 wp.config.kernel_cache_dir = str(cache_dir() / "warp")
             if device.type == "cpu":
-                wp.config.optimization_level = 0  # On a CPU, compiling Warp kernels takes longer than the steps.
+                wp.config.optimization_level = 0  # On a CPU, optimised compilation takes longer than it saves.
                 # Without a CUDA driver, Warp's C++ code writes a warning directly to file descriptor 2 (stderr).
-                # To hide this warning, redirect file descriptor 2 to the null device while Warp starts.
+                # Redirect file descriptor 2 to the null device while Warp starts, which hides the warning about CUDA.
                 sys.stderr.flush()
                 saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
                 try:
@@ -115,7 +115,7 @@ class Graphs:
                 yield
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Run a function that launches equal kernels on equal arrays in each call; ``name`` names its CUDA graph."""
+        """Run ``work``, which must launch the same kernels on the same arrays in each call with the same ``name``."""
         if not self._wanted or self.is_capturing:
             with self.here():
                 work()

@@ -1,9 +1,9 @@
 """Walk over an object graph: find the objects below some roots, and the slots that hold their values.
 
-The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The functions of this
-module visit every object that a term can change. Objects of other packages are not visited, because such objects can be
-huge or have side effects. Visited objects belong to this package's classes or derived classes, or are the containers,
-bound methods, partials, and closures that hold such objects. The class attribute ``outside_graphs`` lists the
+The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The search visits
+every object that a manager term, such as a reward function, can change. Objects of other packages are not visited,
+because such objects can be huge or have side effects. The search visits instances of this package's classes and their
+subclasses, and the containers and closures that hold these instances. A class lists in ``outside_graphs`` the
 attributes that no captured CUDA graph reads or writes.
 """
 
@@ -27,7 +27,7 @@ Named = tuple[str, Any]
 def walk(roots: Iterable[Named], children: Callable[[str, Any], Iterable[Named]]) -> Iterator[Named]:
     """Yield each object once with its dotted name: the roots, the ``children`` of each object, and so on."""
     waiting, seen = list(roots), set[int]()
-    # Search breadth-first: `waiting` grows during the loop, and `seen` detects shared objects and cycles.
+    # Search breadth-first by appending the children of each object to the list over which the loop iterates.
     for name, node in waiting:
         if id(node) not in seen:
             seen.add(id(node))
@@ -62,7 +62,7 @@ class Slot:
 
     @property
     def container(self) -> Any:
-        """The dictionary or list that directly contains the entry at ``path``; ``MISSING`` if no such object exists."""
+        """The dictionary or list that contains the last key of ``path``, or ``MISSING`` if none exists."""
         found: Any = vars(self.owner)
         for key in self.path[:-1]:
             found = entry(found, key)
@@ -72,7 +72,7 @@ class Slot:
 
     @property
     def containers(self) -> Iterator[tuple[Any, Any, Any]]:
-        """Every dictionary or list along ``path``, with its parent and its key in the parent."""
+        """The dictionaries and lists that ``path`` passes through, as tuples (parent, key in the parent, container)."""
         parent: Any = vars(self.owner)
         for key in self.path[:-1]:
             yield parent, key, entry(parent, key)
@@ -89,7 +89,7 @@ class Slot:
         return functools.partial(vars(self.owner).get, self.path[0], MISSING)
 
     def set(self, value: Any) -> None:
-        """Store a value at ``path``; the value ``MISSING`` removes the entry at ``path`` from its dictionary."""
+        """Assign a value to the attribute or entry at ``path``; the value ``MISSING`` deletes the entry."""
         container, key = self.container, self.path[-1]
         if value is MISSING and isinstance(container, dict):
             container.pop(key, None)
@@ -105,7 +105,7 @@ def entry(container: Any, key: Any) -> Any:
 
 
 def parts(name: str, node: Any) -> Iterator[Named]:
-    """Yield every object that an object directly refers to and that may contain tensors, numbers, or strings."""
+    """Yield the objects that an object refers to directly, such as attributes, list elements, and closure variables."""
     if isinstance(node, functools.partial):
         found: Iterable[Any] = (node.func, *node.args, *node.keywords.values())
     elif isinstance(node, (tuple, set, frozenset, list)):
@@ -126,7 +126,7 @@ def parts(name: str, node: Any) -> Iterator[Named]:
 def attributes_in_graphs(node: Any) -> Iterator[Named]:
     """Yield those attributes of an object of this package that a captured CUDA graph may read or write."""
     kind = type(node)
-    # Skip objects of the package ``state``, which only refer to the state of objects in other packages.
+    # Skip objects of the package ``state``, because such an object only refers to other objects' state.
     if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):
         return
     skipped = {name for base in kind.__mro__ for name in vars(base).get("outside_graphs", ())}

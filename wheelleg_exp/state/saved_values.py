@@ -5,7 +5,7 @@ State is: tensors, arrays, numbers, text, random generators, plain containers of
 they do not change; and objects that another part saves (``Kept``). Every other value is ``Unsaveable``.
 
 ``snapshot`` converts a value to a tree of tensors, numbers, lists, and dictionaries, because loading a checkpoint must
-not run code. A value that a checkpoint does not store becomes a ``Reference``.
+not run code. ``snapshot`` replaces a value that checkpoints do not store, such as a function, by a ``Reference``.
 """
 
 from __future__ import annotations
@@ -50,14 +50,11 @@ GENERATORS: dict[str, Generator] = {
 
 
 class Kept:
-    """Marks objects whose state other code saves.
-
-    When an object saves its attributes, it skips attributes of the class ``Kept``, because other code saves them.
-    """
+    """Base class of objects that are not saved as attributes of other objects, because other code saves their state."""
 
 
 class NamedStream(Kept, torch.Generator):
-    """A random stream, whose state the environment's collection of streams saves."""
+    """A random generator whose state the class ``Streams`` saves in checkpoints."""
 
 
 class Unsaveable(Exception):
@@ -71,7 +68,7 @@ class Unsaveable(Exception):
 
 @dataclasses.dataclass
 class Reference:
-    """A value that a checkpoint does not store; ``seen`` is a copy of the value's contents, if they can change."""
+    """A value that checkpoints do not store, such as a function; ``seen`` is a copy of a mutable value's contents."""
 
     value: Any
     seen: Any = None
@@ -81,7 +78,7 @@ class Reference:
 
 
 def snapshot(value: Any, path: str) -> Any:
-    """Return a copy of a value as a tree of tensors, plain values, and references, or raise Unsaveable."""
+    """Copy a value to nested dictionaries of tensors, numbers, strings, and references, or raise Unsaveable."""
     if type(value) in PLAIN:
         return value
     if isinstance(value, torch.Tensor):
@@ -107,7 +104,7 @@ def snapshot(value: Any, path: str) -> Any:
         if isinstance(value, kind):
             return {TAG: tag, "data": snapshot(get(value), path)}
     if all(hasattr(value, name) for name in ("state_dict", "load_state_dict")) and not isinstance(value, type):
-        rest = None  # `rest` contains the attributes of a network that the network's ``state_dict`` omits.
+        rest = None  # A network's ``state_dict`` omits the attributes in ``rest``, such as plain numbers.
         if isinstance(value, torch.nn.Module) and not isinstance(value, torch.jit.ScriptModule):
             rest = {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)}
         data = snapshot(dict(value.state_dict()), path)
@@ -124,7 +121,7 @@ def snapshot(value: Any, path: str) -> Any:
 
 
 def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
-    # A subclass of ndarray can have further state, for example the mask of a masked array.
+    # Reject subclasses of ndarray, because they can have further state, such as the mask of a masked array.
     if isinstance(value, np.ndarray) and type(value) is not np.ndarray:
         raise Unsaveable(path, value)
     try:
@@ -143,7 +140,7 @@ def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
 
 
 def _is_wiring(item: Any) -> bool:
-    """Return whether a network's attribute contains only parameters or weak references, as in ``torch.nn.RNN``."""
+    """Return whether a network's attribute lists only parameters or weak references, as in ``torch.nn.RNN``."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
 
@@ -175,13 +172,13 @@ def same(a: Any, b: Any) -> bool:
 def bytes_of(value: torch.Tensor) -> torch.Tensor:
     """Return the bytes of a tensor's elements in order; a contiguous tensor is not copied."""
     flat = value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1)
-    if flat.stride(0) != 1:  # Torch treats a one-element tensor with any stride as contiguous.
+    if flat.stride(0) != 1:  # ``contiguous`` leaves the stride of a one-element tensor unchanged.
         flat = flat.clone(memory_format=torch.contiguous_format)
     return flat.view(torch.uint8)
 
 
 def on_device(tree: Any, device: torch.device) -> Any:
-    """Return nested mappings, lists, and tuples with all tensors in them moved to a device."""
+    """Copy nested mappings, lists, and tuples, and move all tensors in them to a device."""
     if isinstance(tree, torch.Tensor):
         return tree.to(device)
     if isinstance(tree, Mapping):
@@ -192,7 +189,7 @@ def on_device(tree: Any, device: torch.device) -> Any:
 
 
 def cloned(tree: Any) -> Any:
-    """Return nested mappings, lists, and tuples with all tensors in them copied."""
+    """Copy nested mappings, lists, and tuples, including all tensors in them."""
     if isinstance(tree, torch.Tensor):
         return tree.detach().clone()
     if isinstance(tree, Mapping):
@@ -206,12 +203,11 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 
 
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
-    """Convert a result of ``snapshot`` to a value that a checkpoint can store.
+    """Convert the result ``item`` of ``snapshot`` to a value that a checkpoint can store.
 
-    ``before`` is the snapshot of an object's attribute right after the object's construction, and ``item`` is a later
-    snapshot. Loading a checkpoint writes into a new object that was constructed from the same config. Unsaveable is
-    raised for references, such as functions, that changed after the object's construction, and for generators or
-    networks that were added after the object's construction.
+    ``item`` is the present snapshot of an object's attribute; ``before`` is its snapshot right after the object's
+    construction. Loading a checkpoint writes into a new object that was constructed from the same config. Raise
+    Unsaveable if the attribute has got a new function, random generator, or network since the object's construction.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")
@@ -238,10 +234,10 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
 
 
 def restored_value(item: Any, present: Any = None) -> Any:
-    """Return the value that a snapshot describes; write the value into the existing object ``present`` if possible."""
+    """Return the value of a snapshot, if possible by updating the existing object ``present`` in place."""
     if isinstance(item, torch.Tensor):
         alike = isinstance(present, torch.Tensor) and (present.shape, present.dtype) == (item.shape, item.dtype)
-        if not alike or (0 in present.stride() and present.numel() > 1):  # Writing to an expanded tensor fails.
+        if not alike or (0 in present.stride() and present.numel() > 1):  # torch cannot write to expanded tensors.
             return item.clone()
         with torch.inference_mode() if present.is_inference() else torch.no_grad():
             return present.copy_(item)

@@ -1,8 +1,8 @@
 """Save and restore attributes of objects, and settings that changed after the construction of a term.
 
-A tensor attribute is always saved, unless the class names the attribute in ``settings``. An attribute that is not a
-tensor, or that ``settings`` names, is saved only if its value has changed since construction. Restoring a checkpoint
-does not undo a change that was made in the config after the checkpoint was saved.
+A checkpoint contains all tensor attributes of an object, except those that its class lists in ``settings``. Other
+attributes, such as numbers, are saved only if their value has changed since the object's construction. Restoring a
+checkpoint keeps values that the user has changed in the config since the checkpoint was saved.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # In an object's initial state, `_TENSOR` replaces each tensor that checkpoints always contain.
+_TENSOR = "a tensor"  # An object's initial state contains this text instead of tensors that every checkpoint saves.
 
 
 class _Base(NamedTuple):
@@ -27,7 +27,7 @@ class _Base(NamedTuple):
 class Stateful:
     """Base class of objects that save and restore their own attributes as their state.
 
-    ``settings`` names tensor attributes that come from the config; such an attribute is saved only if it has changed.
+    ``settings`` lists tensor attributes that come from the config and are saved only if their value has changed.
     """
 
     settings: ClassVar[tuple[str, ...]] = ()
@@ -72,7 +72,7 @@ def save(value: Any) -> dict[str, Any]:
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Restore an object's state that ``save`` returned; attributes without a saved value get initial values."""
+    """Restore the state that ``save`` returned; an attribute that ``save`` omitted gets its initial value."""
     if _BASE not in vars(value):
         made(value)
     base, held = vars(value)[_BASE].values, attributes(value)
@@ -86,7 +86,7 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Copy the settings, not the state, of ``made_anew`` to ``value``, whose tensors keep their memory addresses."""
+    """Copy the settings of ``made_anew`` to ``value``, without changing the state or tensor addresses of ``value``."""
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
         vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
@@ -115,7 +115,7 @@ def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
 
 
 class _Attributes:
-    """Saves the attributes of an object that has no ``state_dict``. The object may be None."""
+    """Saves and restores the attributes of an object that has no method ``state_dict``."""
 
     def __init__(self, value: Any, key: str) -> None:
         self._value = value
@@ -138,9 +138,10 @@ def stateful(value: Any, key: str) -> Any:
 class Settings:
     """The settings of a term from its config, which are saved if a curriculum or other code changes them.
 
-    A changed setting is saved together with the setting's value from the config. A saved setting is restored only if
-    the setting's value in the config is still the same. ``groups`` are dictionaries of settings by name. Settings in
-    ``skip`` are not saved, because they are objects that save their own state.
+    Each changed setting, such as a reward weight, is saved together with its value from the config. If the config of a
+    resumed run has another value of a setting, the saved setting is not restored. ``groups`` maps each group's name to
+    a dictionary of setting names and values. ``skip`` lists names of settings that are not saved here, because they are
+    objects that save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
@@ -152,10 +153,10 @@ class Settings:
             own = {g: {n: v for n, v in values.items() if n not in self._skip} for g, values in self._groups.items()}
             return {group: {name: snapshot(v, name) for name, v in values.items()} for group, values in own.items()}
         except Unsaveable as error:
-            raise ConfigError(f"a term's setting cannot be saved: the setting {error}", key=self._key) from error
+            raise ConfigError(f"a checkpoint cannot save a term's setting, which {error}", key=self._key) from error
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the changed settings by group and name, each with its value from the config."""
+        """Return the present value and the config's value of each changed setting, by group and name."""
         found: dict[str, Any] = {}
         for group, values in self._snapshots().items():
             for name, now in values.items():
@@ -166,13 +167,13 @@ class Settings:
                     change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
                 except Unsaveable as error:
                     raise ConfigError(
-                        f"a term's setting was changed to a value that cannot be saved: it {error}", key=self._key
+                        f"a checkpoint cannot save the new value of a term's setting, which {error}", key=self._key
                     ) from error
                 found.setdefault(group, {})[name] = change
         return found
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the settings that ``state_dict`` returned; all other settings get their value from the config."""
+        """Restore the changed settings that ``state_dict`` returned; reset other settings to the config's values."""
         for group, values in self._groups.items():
             changes, base = saved.get(group, {}), self._base[group]
             for name in list(values.keys() - base.keys() - changes.keys() - self._skip):

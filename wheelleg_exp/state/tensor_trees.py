@@ -1,4 +1,4 @@
-"""Merge the states of two sets of environments, and copy tensors to host memory."""
+"""Merge two saved states of N environments, and copy tensors to host memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
     """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
 
-    Only tensors (N, ...) with one row per environment are merged; all other values come from the state dict ``after``.
+    Values that are not tensors with one row per environment, (N, ...), come from the state dict ``after``.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}

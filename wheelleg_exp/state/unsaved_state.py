@@ -1,8 +1,8 @@
-"""Find and reject state that no checkpoint could restore.
+"""Raise ConfigError if manager terms hold state that checkpoints cannot restore.
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
-and classes, and values that the term writes to the scene, the managers, or the config. ``Outside`` does not check
-global variables of Python modules and variables of closures. The class ``Memory`` finds tensors that share memory. A
+and classes, and values that the term writes to the scene, the managers, or the config. ``Outside`` does not detect
+changes of global variables and of variables in closures. The class ``Memory`` finds tensors that share memory. A
 checkpoint saves each attribute separately, so memory that two tensors share would become separate after a resume.
 """
 
@@ -26,10 +26,10 @@ from wheelleg_exp.state.stateful import Stateful, attributes
 class Outside:
     """Detects changes that terms make outside their own attributes.
 
-    ``code`` maps each term's config key to the term's function or class. ``config`` is the terms' config. Terms may
-    read but not write the objects in ``owners``: they must not add attributes to them or to this package's objects
-    below them, and must not change their public numbers and texts. A class attribute or a default argument that is an
-    iterator raises ConfigError, because the position of an iterator cannot be read.
+    ``code`` maps the config key of each manager term to the function or class that implements the term. ``config`` is
+    the terms' config. Terms may read but not write the objects in ``owners``: they must not add attributes to them or
+    to this package's objects below them, and must not change their public numbers and texts. Iterators in class
+    attributes or default arguments raise ConfigError, because their position cannot be saved.
     """
 
     def __init__(self, code: Mapping[str, Callable[..., Any]], owners: Mapping[str, Any], config: Any) -> None:
@@ -66,7 +66,7 @@ class Outside:
 
 
 def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the objects of this package in the public attributes of an object, except objects that save themselves."""
+    """Yield public attributes of ``owner`` that are objects of this package and not of the class ``Stateful``."""
     for attribute, item in vars(owner).items():
         is_ours = type(item).__module__.partition(".")[0] == PACKAGE and hasattr(item, "__dict__")
         is_public = not attribute.startswith("_") and not _is_default(owner, attribute)
@@ -75,7 +75,7 @@ def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _is_default(value: Any, name: str) -> bool:
-    """Return whether an instance attribute overrides a number or string of the class, such as a dataclass default."""
+    """Return whether the class of ``value`` defines a number or string as the default of the attribute ``name``."""
     return isinstance(getattr(type(value), name, NOTHING), PLAIN)
 
 
@@ -91,7 +91,7 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # ``__init__`` stores its defaults in attributes, which checkpoints save.
+                if name != "__init__":  # Default arguments of ``__init__`` become saved attributes.
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item
@@ -126,7 +126,7 @@ def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
 
 
 _MUTABLE = (list, dict, set, deque)
-# If NumPy's exact overlap check exceeds its work limit, overlapping address ranges count as shared memory.
+# If ``np.shares_memory`` exceeds this work limit, tensors with overlapping address ranges count as shared memory.
 _MOST_WORK = 10_000
 
 
@@ -142,8 +142,8 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object that share memory always raise ConfigError. Tensors of two different objects may share
-    memory only if the two tensors share memory during the whole run.
+    Two tensors of one object must never share memory. Tensors of two different objects must either share memory during
+    the whole run or never.
     """
 
     def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
@@ -217,7 +217,7 @@ def _share(a: Any, b: Any) -> bool:
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return a NumPy view of a tensor for comparing addresses; its values are unreadable if the tensor is on a GPU."""
+    """Return a NumPy array with a tensor's memory addresses; do not read its values, because they may be on a GPU."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 

@@ -35,9 +35,9 @@ Stream = Callable[[], torch.Generator]
 class ActuatorBase(Stateful):
     """Base class of actuator models; each actuator model drives one group of joints.
 
-    A checkpoint saves the tensors that the method ``state`` returns. Each parameter of an actuator model is one number
-    for all joints, or a mapping from regular expressions of joint names to numbers. Once the simulations run,
-    ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the actuator group).
+    A checkpoint saves the tensors in an actuator's attributes. Each parameter of an actuator model is one number for
+    all joints, or a mapping from regular expressions of joint names to numbers. ``start`` converts ``stiffness``,
+    ``damping``, ``effort_limit`` and ``velocity_limit`` to tensors (N, joints of the group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
@@ -51,7 +51,7 @@ class ActuatorBase(Stateful):
             environment; null means no delay.
     """
 
-    reads_state: ClassVar[bool] = True  # False: the actuator's control depends only on joint targets.
+    reads_state: ClassVar[bool] = True  # ``reads_state`` is False if controls depend only on joint targets.
     outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 
@@ -94,7 +94,7 @@ class ActuatorBase(Stateful):
         self._per_joint = per_joint
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Write the joints' armatures to the MuJoCo spec, and add a MuJoCo actuator, named like the joint, for each."""
+        """Write the joints' armatures to the MuJoCo spec, and add a MuJoCo actuator with the name of each joint."""
         for index, name in enumerate(self.joint_names):
             armature = self._per_joint["armature"][index]
             if armature is not None:
@@ -116,7 +116,7 @@ class ActuatorBase(Stateful):
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
         """Allocate the actuator model's memory for N environments and a physics step ``dt``, s, before the first step.
 
-        ``stream`` returns the actuator group's random stream; a model without random numbers does not call ``stream``.
+        ``stream`` is a function that returns a random generator for the actuator group; call it only if you need one.
         """
 
     def begin(self, env_ids: torch.Tensor) -> None:
@@ -134,7 +134,7 @@ class ActuatorBase(Stateful):
         return self._of_joints(self.control(delayed, data), "control")
 
     def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return ``computed_torque`` for the delayed joint targets of the last physics step."""
+        """Return the unclipped torques (N, joints), N·m, for the delayed joint targets of the last physics step."""
         torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
         return self._of_joints(torque, "computed_torque")
 

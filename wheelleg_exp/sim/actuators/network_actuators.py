@@ -64,7 +64,7 @@ class Network(Kept):
             if any(_RUNS_AT_LOADING in reader.get_record(name) for name in code):
                 method = _RUNS_AT_LOADING.decode()
                 raise self._refused(
-                    f"the network file defines the method '{method}', which would run while the file is loaded"
+                    f"the network file must not define the method '{method}', which torch runs while it loads the file"
                 )
             module = torch.jit.load(io.BytesIO(data), map_location=device)
             graph = module.eval().inlined_graph
@@ -112,7 +112,7 @@ def _kinds(block: Any) -> Iterator[str]:
 
 
 class ActuatorNet(DCMotor):
-    """An actuator without PD gains, whose neural network computes torques that a torque-speed line limits.
+    """An actuator whose neural network computes torques; the motor's torque-speed line limits these torques.
 
     Args:
         network_file: the TorchScript file, below an asset folder.

@@ -83,7 +83,7 @@ class DCMotor(IdealPDActuator):
         tau <= min(saturation_effort (1 - v / velocity_limit), effort_limit)
         tau >= max(saturation_effort (-1 - v / velocity_limit), -effort_limit)
 
-    Above the speed where its torque-speed line reaches ``-effort_limit``, a motor brakes with ``effort_limit``.
+    At high speeds, where the torque-speed line is below ``-effort_limit``, the motor brakes with ``effort_limit``.
 
     Args:
         effort_limit: largest torque at any speed, N·m.

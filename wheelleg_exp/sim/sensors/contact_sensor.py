@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # ``_SIZES`` maps each data field of MuJoCo's contact sensor to the number of its components.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
 FIELDS = tuple(_SIZES)
-NORMAL = ("found", "force", "normal")  # The normal force on a body needs these data fields of MuJoCo's contact sensor.
+NORMAL = ("found", "force", "normal")  # Normal forces are computed from these fields of MuJoCo's contact sensor.
 
 
 def width(fields: tuple[str, ...]) -> int:
@@ -35,7 +35,7 @@ def width(fields: tuple[str, ...]) -> int:
 
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Return the sum over S contacts of normal force (N, B, 1, S) times contact normal (N, B, S, 3), (N, B, 3)."""
+    """Multiply forces (N, B, 1, S) by contact normals (N, B, S, 3), and return the sum over S contacts, (N, B, 3)."""
     if pressures.is_cuda:  # On a GPU, ``torch.matmul`` would take ten times longer than a product and a sum.
         return (pressures.transpose(2, 3) * normals).sum(dim=2)
     return torch.matmul(pressures, normals).squeeze(2)
@@ -103,7 +103,7 @@ class ContactSensorData(Kept):
     ) -> None:
         self._key = key
         self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # ``_history`` is created when ``net_forces_w_history`` is read.
+        self._history: torch.Tensor | None = None  # The property ``net_forces_w_history`` sets ``_history``.
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self.points: torch.Tensor | None = None
@@ -126,7 +126,7 @@ class ContactSensorData(Kept):
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
         """Replace the force history by a sequence of tensors (N, B, 3), with the newest force first."""
-        self.forces[:] = forces  # Captured CUDA graphs refer to the list ``forces``, so change this list in place.
+        self.forces[:] = forces  # Change the list in place, because captured CUDA graphs refer to this list.
         self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
@@ -152,7 +152,7 @@ class ContactSensorData(Kept):
     def take_pairs(
         self, newest: torch.Tensor, points: torch.Tensor | None, friction: torch.Tensor | None, due: torch.Tensor | None
     ) -> None:
-        """Add the forces (N, B, M, 3) of each pair of a sensed and a filtered body to the histories of these pairs."""
+        """Add the forces (N, B, M, 3) between B sensed and M filtered bodies to the history of these forces."""
         filtered = torch.cat((newest.unsqueeze(1), self.force_matrix_w_history[:, :-1]), dim=1)
         for name, value in {"filtered": filtered, "points": points, "friction": friction}.items():
             if value is not None and due is not None:
@@ -160,12 +160,12 @@ class ContactSensorData(Kept):
             setattr(self, name, value)
 
     def of_pairs(self) -> dict[str, torch.Tensor]:
-        """Return those of the contact tensors ``filtered``, ``points``, and ``friction`` that are not None, by name."""
+        """Return a dictionary of the tensors ``filtered``, ``points``, and ``friction``; skip those that are None."""
         found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
         return {name: value for name, value in found.items() if value is not None}
 
     def add_pose(self, robot: Robot, bodies: list[str]) -> None:
-        """Store the object from which the poses of the sensed bodies are read."""
+        """Store the robot, so that ``pos_w`` and ``quat_w`` can read the poses of the sensed bodies."""
         self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
 
     @property
@@ -348,7 +348,7 @@ class ContactSensor(SensorBase):
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        # Negate the sum, because contact normals point away from the sensed body, but contact forces push it back.
+        # Negate the sum, because contact forces push the sensed body, but contact normals point away from the body.
         self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
         self._largest_norm = None

@@ -55,14 +55,14 @@ class RayCaster(LazySensor):
     Args:
         body_name: expression of the body.
         pattern: the rays.
-        offset: ``pos``, m, shifts the origins of the rays, and ``rot``, (w, x, y, z), rotates their directions, in the
-            frame of ``ray_alignment``.
+        offset: ``pos``, m, shifts the rays' origins, and ``rot`` (w, x, y, z) rotates the rays' directions, before
+            ``ray_alignment`` applies.
         ray_alignment: ``base`` rotates the rays' origins and directions with the body, ``yaw`` rotates only their
             origins by the body's yaw, ``world`` rotates nothing.
         max_distance: longest ray, m.
         drift_range: range of a position error along each world axis, drawn at each reset, m.
-        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the origins of the rays in
-            the frame of ``ray_alignment``, and ``z`` shifts the hit points up.
+        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the rays' origins before
+            ``ray_alignment`` applies, and ``z`` raises the hit points.
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 

@@ -1,4 +1,4 @@
-"""Base classes of sensors that measure after each physics step, and of sensors that measure when they are read."""
+"""Base classes of sensors that measure after each physics step, and of sensors that measure when code reads data."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SensorBase(Kept):
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         """Connect the sensor to the running simulations; the scene calls this method once, after compiling the model.
 
-        ``stream`` returns the sensor's random stream; a sensor without random numbers does not call ``stream``.
+        ``stream`` is a function that returns a random generator for the sensor; call it only if the sensor needs one.
         """
         del stream
         self._sim = sim
@@ -83,7 +83,7 @@ class SensorBase(Kept):
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         """Update the measurements of the environments in the mask ``due`` (N,); None means all environments.
 
-        ``elapsed`` is the time since the sensor's last measurement, s, (N,) or one number for all environments.
+        ``elapsed`` is the time since the last measurement in each environment, s, (N,), or one number for all.
         """
         raise NotImplementedError("a sensor must define the method 'measure(due, elapsed)'")
 
@@ -95,7 +95,7 @@ class SensorBase(Kept):
 
     @property
     def measures_at_reset(self) -> bool:
-        """True if the sensor takes new measurements after a reset, in its method ``refresh``."""
+        """Whether the method ``refresh`` takes new measurements after a reset."""
         return True
 
     def refresh(self, env_ids: torch.Tensor) -> None:
@@ -140,8 +140,8 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 class LazySensor(SensorBase):
     """A sensor whose method ``sense`` takes a measurement when code reads ``data``, at most once per physics state.
 
-    If ``update_period`` is not 0, a lazy sensor takes and stores a measurement at each reset and after each period,
-    even if no code reads ``data``. Reading ``data`` never changes the results of a lazy sensor.
+    If ``update_period`` is not 0, a lazy sensor measures at each reset and after each period, even without reads. A
+    lazy sensor's measurements do not depend on how often code reads ``data``.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.
@@ -218,10 +218,10 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
 
 
 def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
-    """Make a property that reads ``of_root`` in the robot's data for the root link, ``of_bodies`` for other links."""
+    """Make a property that reads ``of_root`` of the robot's data for the root link, else ``of_bodies``."""
 
     def get(self: Mount) -> torch.Tensor:
-        # Reading the root link's pose and velocity is cheaper, because only other links need forward kinematics.
+        # The root link's pose and velocity are cheaper to read, because they need no forward kinematics.
         data = self._robot.data
         return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
 

@@ -62,7 +62,7 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # ``along_x`` is the memory stride between neighbours along x.
+        along_x = cells[..., 1] + slanted  # ``along_x`` is the index step between grid neighbours along x.
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
@@ -74,12 +74,12 @@ class HeightMap:
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # Isaac Lab adds this margin when it chooses the sub-terrain of a column of terrain tiles.
+_MARGIN = 0.001  # As in Isaac Lab, 0.001 is added to col / num_cols when a column's sub-terrain is chosen.
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The arguments of ``TerrainGenerator`` that determine the generated ground."""
+    """The arguments of ``TerrainGenerator`` that determine the shape of the ground."""
 
     size: tuple[float, float]
     num_rows: int
@@ -117,7 +117,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # If a tile's sub-terrain defines no flat patches of a name, the tile's origin replaces each of these patches.
+    # Use a tile's origin in place of flat patches that the tile's sub-terrain does not define.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():

@@ -13,8 +13,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-# Do not import annotations from __future__ here, because the fields' annotations must be types, not strings.
-# A subclass in a user's module could not evaluate inherited string annotations, which need this module's imports.
+# Do not import annotations from __future__ here, because users' subclasses must inherit types, not strings.
 _POINTS = 10  # As in Isaac Lab, a flat patch has similar heights at ten points on each ring around its centre.
 _ROUNDS = 1000
 
@@ -82,7 +81,7 @@ EDGE = 1e-9  # Because of rounding errors, a point 1e-9 m outside of a terrain t
 class Grid:
     """The grid points of a tile's heights, m, relative to the tile's centre; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    ``half`` contains half the edge lengths, m, of the area that a tile's flat rim encloses.
+    ``half`` contains half the edge lengths, m, of the tile without its flat rim.
     """
 
     x: Array
@@ -103,8 +102,9 @@ class Grid:
 class SubTerrain(Kept):
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. A tile's heights become boxes with vertical edges, or a height field whose edges are
-    steep slopes. Each box slows down all environments a little; a height field slows down only robots on the field.
+    A subclass returns heights. The terrain generator converts a tile's heights to boxes with vertical edges or to a
+    height field with slopes. Each box slows down all environments a little; a height field slows down only robots on
+    the field.
 
     Args:
         proportion: relative share of the tiles.
@@ -223,8 +223,8 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The lattice of random heights starts at a tile's first grid point inside the tile's flat rim. If this lattice were
-    shifted by half a grid cell, each height would be the mean of four random heights, with half the standard deviation.
+    The lattice of random heights starts at the first grid point inside the tile's flat rim, because heights between
+    lattice points vary less.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,13 +235,13 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return each point's interval between random heights, its place in the interval, and the number of intervals."""
+    """Return each grid point's lattice interval, its place (0 to 1) in this interval, and the number of intervals."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # Rounding gives a grid point at the place of a random height exactly this height, despite rounding errors.
+    # Round places that are almost integers, so that grid points on lattice points get exactly the random heights.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count
@@ -342,7 +342,7 @@ class DiscreteObstacles(SubTerrain):
 
 @dataclass(kw_only=True)
 class SteppingStones(SubTerrain):
-    """Stepping stones in rows along x; the stones become narrower, and the holes wider, with the difficulty.
+    """Terrain tile of stepping stones in rows along x; harder tiles have narrower stones and wider holes.
 
     Args:
         stone_height_max: largest size of a stone's height, drawn from U(-max, max), m.

@@ -117,8 +117,8 @@ class TerrainBase(Kept):
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
         """Compute the origins of all environments; the scene calls this method once, before the method ``add_to``.
 
-        ``spacing`` is the distance between neighbouring environments on a grid, m. ``stream`` returns the ground's
-        random stream; a ground without random numbers does not call ``stream``.
+        ``spacing`` is the distance between neighbouring environments on a grid, m. ``stream`` is a function that
+        returns a random generator for the ground; call it only if the ground needs one.
         """
         self._probe, self._stream = Probe(self.add_to), stream
         self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
@@ -160,7 +160,8 @@ class TerrainBase(Kept):
         """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
         As in Isaac Lab, an environment that moves up from the hardest row of tiles moves to a random row. In the
-        easiest row of tiles, an environment does not move down. Without tiles, no environment's origin changes.
+        easiest row of tiles, an environment does not move down. ``update_env_origins`` does nothing on a ground without
+        tiles.
         """
         if self.terrain_origins is None:
             return
@@ -185,7 +186,7 @@ class TerrainBase(Kept):
 
     @property
     def has_formula(self) -> bool:
-        """Whether ``height_at`` evaluates a formula instead of casting rays, which takes longer."""
+        """Whether ``height_at`` evaluates a fast formula instead of casting rays."""
         return type(self).height_at is not TerrainBase.height_at
 
     def state_dict(self) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike,
 def add_tile(
     spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
 ) -> None:
-    """Add a terrain tile as a height field or boxes, which reach a tenth of the tile's edge below its lowest height.
+    """Add a terrain tile as a height field or boxes; both extend a tenth of the tile's edge below its lowest height.
 
     ``name`` is the name of the tile's geom or the prefix of its boxes' names; ``centre`` and ``size`` are in m.
     """
@@ -47,7 +47,7 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        # Split the terrain tile into boxes in two ways, side by side or stacked, and use the split with fewer boxes.
+        # Compute boxes side by side and, alternatively, stacked boxes; add the alternative with fewer boxes.
         levels = np.unique(heights)
         apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
         nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
