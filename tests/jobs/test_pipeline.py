@@ -252,7 +252,7 @@ def test_one_that_is_finished_or_under_way_is_not_gone_on_with(whole: PipelineIn
 
 FIXED = {"seed=3": "keeps the settings with which it started", "pipeline.phases.second.task=walk": "has started"}
 FIXED["pipeline.phases.first.max_iterations=9"] = "has already passed its evaluation"
-FIXED["pipeline.name=other"] = "a resume can change only settings of pipeline phases"
+FIXED["pipeline.name=other"] = "a resume can change only settings in pipeline.phases"
 
 
 @pytest.mark.parametrize(("override", "message"), FIXED.items())

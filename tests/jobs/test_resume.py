@@ -426,7 +426,7 @@ def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
         (".hydra/config.yaml", None, "is missing"),
         ("asset/robot.xml", None, "is missing"),
         ("asset/robot.xml", b"<mujoco/>", "was changed after the run started"),
-        ("iterations.jsonl", b"", "the log would have a gap"),
+        ("iterations.jsonl", b"", "has no complete line of iteration 0"),
         ("manifest.json", b"{", "broken JSON"),
     ],
 )

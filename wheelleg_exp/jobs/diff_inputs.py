@@ -34,8 +34,8 @@ _CODE = ("commit", "tree", "dirty", "patch_sha256")
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
     """Load the two training inputs that ``wheelleg diff`` compares.
 
-    Each input is a run (path, id, or ``latest``), a task, or overrides; overrides can follow a run or a task. If only
-    one input is a run, this machine's source code state, package versions, and hardware describe the other input.
+    An input names a run (path, id, or ``latest``) or a task, with optional overrides, or consists of overrides only. If
+    only one input is a run, the run is compared with this machine's source code, package versions, and hardware.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -46,7 +46,7 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
 
 
 def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
-    """Return an input of ``wheelleg diff`` and its composed config, which is None if the input is a run."""
+    """Load one input of ``wheelleg diff``; also return its composed config, or None for a run."""
     words = split_words(text)
     first, rest = (words[0], words[1:]) if words else ("", [])
     if words and (Path(first) / MANIFEST_NAME).is_file():
@@ -125,7 +125,7 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
 
 
 def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
-    """Return those recorded config sections of a run that the run's folder ``params/`` does not contain."""
+    """Return a run's config sections that are not in the folder ``params/``, such as ``task`` and ``seed``."""
     manifest = run.manifest()
     sections: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
     if manifest.data.get("seeds"):
@@ -135,7 +135,7 @@ def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
     try:
         recorded = recorded_config(run, manifest.data.get("config_variables") or {})
     except RunDirectoryError:
-        return sections  # Ignore a config whose interpolations cannot be resolved.
+        return sections  # Ignore the run's saved config if OmegaConf cannot resolve its interpolations.
     return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
 
 
@@ -157,7 +157,7 @@ def _described(path: Path) -> dict[str, Any]:
 
 
 def _code(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return git states of a run's source folders by name; ``commit (2)`` is the commit of the second source folder."""
+    """Return the git state of a run's source folders, such as ``commit``, or ``commit (2)`` for the second folder."""
     found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
     for number, other in enumerate(source_entries(record)[1:], start=2):
         facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}

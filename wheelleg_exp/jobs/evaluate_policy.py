@@ -66,8 +66,7 @@ def evaluation_settings(
 ) -> dict[str, Any]:
     """Return the config sections ``env``, ``agent``, ``protocol`` and ``seed`` of an evaluation, after its overrides.
 
-    Overrides of ``protocol`` and ``seed`` change the evaluation protocol. Overrides of all sections except ``protocol``
-    and ``seed`` change the run's parameters.
+    Overrides of ``protocol`` and ``seed`` change the evaluation; all other overrides change the run's config.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
@@ -110,7 +109,7 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An evaluation's result; ``content`` equals ``evaluation.json``; ``checkpoint`` is None for the LQR controller."""
+    """The result of an evaluation, as saved in ``evaluation.json``; ``checkpoint`` is None for an LQR controller."""
 
     run: RunDirectory
     checkpoint: Path | None
@@ -150,8 +149,8 @@ def evaluate_reference(
 ) -> Evaluated:
     """Evaluate an LQR controller with the robot and the task of a run, and save the result in the run directory.
 
-    ``evaluate_run`` explains the arguments of ``evaluate_reference``. ConfigError means that the reference controller
-    (LQR) cannot balance the robot.
+    The docstring of ``evaluate_run`` explains the arguments. ConfigError means that the reference controller (LQR)
+    cannot balance the robot.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -255,7 +254,7 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
     """Return the folder of the newest saved evaluation of a checkpoint by a protocol; None without an evaluation.
 
     ``checkpoint`` is the checkpoint's sha256. ``tree`` is the config that ``evaluation_settings`` returned. Two
-    protocols are equal if their settings are equal, because different overrides can give equal settings.
+    evaluation protocols are the same if all their settings are the same, even if their overrides differ.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
@@ -310,7 +309,7 @@ def compare(
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
-    # Count the runs of each compared training method, but skip the reference controller (LQR), which is not trained.
+    # ``trainings`` counts the training runs of each method; an LQR controller has no training runs.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     said = verdict(found, *names, trainings) if against else ""
     pushed = push_verdict(found, *names)

@@ -80,7 +80,7 @@ def prepare_policy(
 ) -> RunPolicy:
     """Load a run's policy, and build an environment from the config of this run.
 
-    If ``checkpoint`` is None, the last checkpoint of the run is loaded. The function ``change`` is applied to the
+    If ``checkpoint`` is None, the last checkpoint of the run is loaded. ``change`` is a function that modifies the
     config after the overrides.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint

@@ -38,7 +38,7 @@ class Reproduction:
 
     @property
     def verdict(self) -> str:
-        """A sentence that says whether the reproduced numbers are equal to the recorded numbers."""
+        """A sentence for the user: whether all numbers were reproduced exactly, and if not, possible causes."""
         if not self.differences:
             return "reproduced to the bit" + (", on another machine" if self.machine else "")
         why = ["with other source files"] if self.other_code else []
@@ -95,7 +95,7 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # Metrics with equal values can differ in their unit.
+            yield from _leaf_differences(was, is_now, name)  # Although the values are equal, the units can differ.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
@@ -127,7 +127,7 @@ def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
 def _machine_differences(
     was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
 ) -> list[FactDifference]:
-    """Return machine differences that may change results; ``early`` leaves out facts that need an import of torch."""
+    """Return machine differences that may change results; with ``early``, only those known before torch is imported."""
     unknown = UNKNOWN_BEFORE_TORCH if early else ()
     sides = zip(was, now, strict=True)
     facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]

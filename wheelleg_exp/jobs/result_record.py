@@ -61,7 +61,7 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the machines on which a run was trained, in order; each resume of a run can add a machine."""
+    """Yield the CPU and core count of each machine that trained the run: before each resume, and at the end."""
     for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
         hardware = process.get("hardware") or {}
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
@@ -92,7 +92,7 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 
 def _outcome(difference: Mapping[str, Any], count: int) -> str:
-    """Return the outcome of a comparison, with a footnote mark if new training seeds may change the outcome."""
+    """Return a comparison's outcome; a footnote mark means that other training seeds may give another outcome."""
     outcome = str(difference.get("outcome", ""))
     low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
@@ -130,12 +130,12 @@ def _number(value: float | None, factor: float) -> str:
 
 
 FORMAT = 2
-# ``write_results`` copies only entries of a run's manifest that describe no folders or processes of the machine.
+# Saved results omit manifest entries about folders or processes of the user's machine.
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# The recipe of a repeated training omits the overrides of ``run``, ``init_from``, and ``recording``.
+# To train a run again, its overrides of ``run``, ``init_from``, and ``recording`` are ignored.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -144,9 +144,8 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    ``NAME.md`` and ``NAME.json`` replace earlier files with these names. Run manifests of an earlier result in the
-    folder ``NAME`` are removed unless the new result contains the same runs. ``words`` are the Hydra overrides of the
-    evaluations.
+    ``NAME.md`` and ``NAME.json`` replace earlier files with these names. Manifests in the folder ``NAME`` from an
+    earlier result are removed if the new result lacks their runs. ``words`` are the Hydra overrides of the evaluations.
     """
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -251,7 +250,7 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
 
 
 def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
-    """Return the overrides of a training recipe, and those of the recipe that trained its initial policy."""
+    """Return a training's overrides, followed by those of the training that produced its initial policy."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
 
 
@@ -267,8 +266,8 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
     A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run that
-    was resumed on another machine also counts as one training; the Markdown page of results names both machines.
-    RunDirectoryError means that no uninterrupted training can reproduce the run.
+    was resumed on another machine also counts as one training; the Markdown page of results names both machines. If one
+    uninterrupted training cannot reproduce the run, raise RunDirectoryError.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
@@ -293,7 +292,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether new hardware is the only reason why a resumed run may differ from an uninterrupted run."""
+    """Return whether only the hardware changed when the run was resumed."""
     return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
@@ -313,7 +312,7 @@ def _method(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return a text about how the overrides or the initial policies of two trainings differ."""
+    """Describe the different overrides or initial policies of two trainings, such as 'with agent.gamma=0.9'."""
     words = set(one["overrides"]), set(other["overrides"])
     sides = (("with", *words), ("without", *words[::-1]))
     parts = [f"{side} {word}" for side, mine, its in sides for word in sorted(mine - its)]
@@ -332,7 +331,7 @@ def parameters(run: RunDirectory) -> str:
 
 
 def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
-    """Return the numbers of an evaluation that a reproduction must repeat exactly."""
+    """Return the seed, the scenario hashes, and the metrics that a repeated evaluation must give again exactly."""
     content = made.content
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 

@@ -48,7 +48,7 @@ class StandFigures:
 
 
 class StandMeter:
-    """Measures how robots stand in each environment's first episode; ignores height and pitch before ``settle_s``."""
+    """Measures survival, height, and pitch in the first episode of each environment."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
@@ -83,7 +83,7 @@ class StandMeter:
         self.running = now & ~done
 
     def figures(self) -> StandFigures:
-        """Return the metrics of the episodes that were measured."""
+        """Return the metrics of the environments' first episodes."""
         heights, pitches = torch.cat(self._heights), torch.rad2deg(torch.cat(self._pitches))
         error = None if self._target is None else heights - self._target
         ended = ~self.running
@@ -117,7 +117,7 @@ class ContactFigures:
 
 
 class ContactMeter:
-    """Accumulates the contact forces of each link over the steps in which the link's robot stands.
+    """Collects statistics of each link's contact forces while the robot stands.
 
     A robot counts as standing from ``settle_s`` seconds after its reset until its tilt reaches ``upright_rad``.
     """
@@ -152,7 +152,7 @@ class ContactMeter:
 
 
 def target_height(env: ManagerBasedRLEnv) -> float | None:
-    """Return the height of the robot's base, m, that a reward term of the task rewards; None without this term."""
+    """Return the reward parameter ``target_height`` (m), or None if no reward term has this parameter."""
     for name in env.reward_manager.active_terms:
         target = env.reward_manager.get_term_cfg(name).params.get("target_height")
         if target is not None:
@@ -186,7 +186,7 @@ class MotionFigures:
 
 
 class MotionMeter:
-    """Measures how robots move in each environment's first episode, from ``settle_s`` seconds after its start."""
+    """Measures motion in each environment's first episode, without the first ``settle_s`` seconds."""
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env, self._settle_steps = env, settle_s / env.step_dt
@@ -235,7 +235,7 @@ class MotionMeter:
         self._effort.begin(now)
 
     def figures(self) -> MotionFigures:
-        """Return the metrics of the episodes that were measured."""
+        """Return the metrics of the environments' first episodes."""
         dt, steps, pairs = self._env.step_dt, float(self._steps.sum()), float(self._pairs.sum())
         none = {} if steps == 0.0 else self._groups
 

@@ -1,7 +1,7 @@
 """Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
 
-``EpisodeRecording`` records a whole rollout as one segment of a recording file. A dataset consists of ``.npz`` archives
-with the episodes that recorder terms collected (see `docs/datasets.md`).
+``EpisodeRecording`` records every control step of a rollout. A dataset consists of ``.npz`` archives with the episodes
+that recorder terms collected (see `docs/datasets.md`).
 """
 
 from __future__ import annotations
@@ -186,16 +186,16 @@ def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[
 
 
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
-    """Write recorded episodes that no file has yet, with unfinished ones if ``env.dataset.export_in_close`` is set.
+    """Write the remaining episodes to files, with unfinished episodes if ``env.dataset.export_in_close`` is set.
 
-    If ``iteration`` is None, the dataset's file is ``episodes.npz``, for a rollout that has not written any file.
+    The file name is ``episodes.npz``, or, for example, ``000012_unfinished.npz`` if ``iteration`` is 12.
     """
     env.recorder_manager.close()
     return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
-    """Return the dataset files of ``iteration`` and later iterations, which a resume at ``iteration`` must remove."""
+    """Return the dataset files of ``iteration`` and later iterations, and all files with unfinished episodes."""
     found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 

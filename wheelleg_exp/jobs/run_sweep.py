@@ -42,13 +42,13 @@ class Job(Protocol):
         """Close the connection to the job's process."""
 
     def describe_death(self) -> str:
-        """Return a phrase that describes how a job died without sending a last event."""
+        """Return a text about the death of a job's process, such as 'was ended by SIGKILL'."""
 
 
 class Launcher(Protocol):
     """Starts the jobs of a sweep, and receives the events that the jobs send.
 
-    If ``queued`` is true, a started job can wait in a queue; it sends the event ``began`` when it begins to run.
+    ``queued`` means that jobs wait in a queue; a job sends the event ``began`` when its process starts.
     """
 
     queued: bool
@@ -70,8 +70,8 @@ class LocalLauncher:
 
     def start(self, number: int, request: JobRequest) -> Job:
         """Start the child process that runs a job."""
-        del number  # The job's ``number`` is unused, because the pipes of the job's child process identify the job.
-        # Pass ``os.environ`` to the job, because libraries may have changed the C environment of this process.
+        del number
+        # C libraries may have changed environment variables of this process outside ``os.environ``.
         return Child(self._program, request.line(), os.environ)
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
@@ -183,7 +183,7 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record ended jobs in the sweep's index; a job that was stopped while waiting in a queue keeps its status."""
+        """Record the status of ended jobs in the sweep's index; a job that never left its queue stays ``waiting``."""
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)

@@ -77,7 +77,7 @@ def saved_sources(directory: RunDirectory) -> dict[str, str]:
 
 
 def saved_networks(directory: RunDirectory) -> dict[str, Path]:
-    """Return the network files that a run has copied from earlier runs, by their paths in the robot's folder."""
+    """Return the run's copies of its initial networks and of its teacher, by file name."""
     named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
     return {name: path for name, path in named.items() if path.is_file()}
 
@@ -102,7 +102,7 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
-    """If the overrides changed the robot of a run, raise ConfigError with the message ``rule``."""
+    """Raise ConfigError with the message ``rule`` if overrides replaced the run's robot."""
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
             expected = "the run's own value; another robot needs a new run"

@@ -1,6 +1,6 @@
 """Run the jobs of a sweep through the queue of Slurm (with submitit) or of a Ray cluster.
 
-A sweep and its job exchange files in the job's folder, which the machines of both must see. The file ``request.json``
+A sweep and its jobs exchange files in job folders, so all machines need a shared file system. The file ``request.json``
 in a job's folder describes the job. A job appends its events to its file ``events.jsonl``. The file ``stop`` in a job's
 folder asks the job to stop. The packages submitit and Ray are optional, and imported only when a launcher needs them.
 """
@@ -36,8 +36,7 @@ _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 class QueueWorker:
     """Runs a sweep job on a machine of a cluster. A new ``QueueWorker`` can be pickled, because it has no attributes.
 
-    The process of a job gets those environment variables of the sweep's machine that can change results. The results of
-    a queued job do not depend on the environment variables of the job's machine.
+    Environment variables that can change results come from the machine that started the sweep, not from the cluster.
     """
 
     _child: Child | None = None
@@ -51,10 +50,10 @@ class QueueWorker:
             raise RuntimeError("the job has already run, and a job runs only once")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # This machine may lack the sender's Python folders.
+        path = request["path"] if same else sys.path  # The submitting machine may have other Python folders.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
-        with ThreadPoolExecutor(1) as reader:  # A signal interrupts the main thread, not the thread ``reader``.
+        with ThreadPoolExecutor(1) as reader:  # Signals interrupt the main thread, so a second thread reads events.
             self._relayed = reader.submit(self._relay, self._child, place)
             return self._relayed.result()
 
@@ -67,7 +66,7 @@ class QueueWorker:
                 self._child.kill()
 
     def _relay(self, child: Child, place: Path) -> str:
-        """Until the job's process ends, write its events to a folder and forward stop requests to the process."""
+        """Copy the events of the job's process to ``events.jsonl``, and pass stop requests to the process."""
         asked = ""
         while not child.over():
             self._write_events(child, place, _WAIT_S)
@@ -108,11 +107,11 @@ class Ticket(Protocol):
         """Remove a waiting job from the queue; end a running job."""
 
     def why(self) -> str:
-        """Return the reason that the queue gives for the end of a job that sent no last event."""
+        """Return the queue's explanation if the job ended without its event ``ended``."""
 
 
 class QueuedJob:
-    """A job in a queue. The job's ``QueueWorker`` writes the job's events to a file, from which ``events`` reads them.
+    """A job in a queue. The method ``events`` reads the file to which the job's ``QueueWorker`` writes.
 
     ``ticket`` is None until the job is submitted. ``ended`` is the job's last event, or None before the job's end.
     """
@@ -209,7 +208,7 @@ class Queue:
         yield from found
 
 
-# submitit accepts ``_SHARED_SETTINGS`` without an executor's prefix such as ``slurm_``.
+# In submitit, ``_SHARED_SETTINGS`` have no prefix such as ``slurm_``, because all executors accept them.
 _SHARED_SETTINGS = (
     *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
@@ -265,7 +264,7 @@ class _SubmititTicket:
     def why(self) -> str:
         words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
         last = f": {words[-1][:300]}" if words else ""
-        # Do not show the state FINISHED, which submitit's local executor reports for every ended job.
+        # submitit's local executor reports the state FINISHED even for failed jobs, so this state is not shown.
         state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
@@ -331,7 +330,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return a launcher by its name in Hydra's group ``hydra/launcher``; all machines must see the sweep's folder."""
+    """Return the launcher for a config name of Hydra's group ``hydra/launcher``, such as ``submitit_slurm``."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()

@@ -1,4 +1,4 @@
-"""Set the number of torch's threads, and describe the threads and floating-point settings for a run's manifest."""
+"""Set torch's thread count, and collect settings of threads and rounding for a run's manifest."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _THREADED_BRANCHES = ("off", "compatible")
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
     """Set torch's thread count to ``agent.torch_threads``; return thread and rounding settings for a run's manifest.
 
-    ``samples`` is the number of environment steps in one rollout; None if nothing is trained. The returned entry
-    ``independent`` is true if the thread count cannot change the training's numbers. The entry ``dependent_because``
-    lists the reasons why the thread count can change the training's numbers.
+    ``samples`` is the number of environment steps in one rollout; None if nothing is trained. In the returned
+    dictionary, ``independent`` is true if results do not depend on the thread count. ``dependent_because`` lists the
+    reasons if results depend on the thread count.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
@@ -62,7 +62,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """If the thread count changes bfloat16 matrix products, return manifest entries that say so; otherwise, return {}.
+    """Return the changed manifest entries if bfloat16 matrix products depend on the thread count, else {}.
 
     ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
     """
@@ -86,8 +86,8 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 def mkl_in_force() -> dict[str, Any] | None:
     """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
-    If MKL does not report its mode, the returned code branch and the returned strict mode are None. After the first
-    call of ``mkl_in_force``, changes of MKL's environment variables have no effect.
+    If MKL does not report its mode, ``branch`` and ``strict`` are None in the returned dictionary. After the first call
+    of ``mkl_in_force``, changes of MKL's environment variables have no effect.
     """
     if not torch.backends.mkl.is_available():
         return None
@@ -130,8 +130,7 @@ def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
     """Return a warning about network activations whose rounding depends on the number of threads."""
-    # torch gives each thread one chunk of an array of activations.
-    # If a chunk's size is not a multiple of 32, scalar code with different rounding computes the end of the chunk.
+    # Rounding differs at the end of a thread's share of an array if the share is not a multiple of 32 numbers.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}

@@ -43,7 +43,7 @@ class JobRequest:
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the command of a child process that runs a job; ``path`` is its import path (default ``sys.path``)."""
+    """Return the command that starts a job's child process with the import path ``path`` (default: ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))
 
 
@@ -94,7 +94,7 @@ def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     run_directory = RunDirectory.open(request.run, request.root)
     keep_kernels(run_directory.manifest().data.get("environment_variables") or {})
 
-    # Modules that import tensordict, which uses MKL, must be imported after the call of ``keep_kernels``.
+    # Call ``keep_kernels`` before the first import of MKL, which reads its environment variables only once.
     from wheelleg_exp.jobs.train.resume_training import prepare_resume
     from wheelleg_exp.jobs.train.run_training import run
 

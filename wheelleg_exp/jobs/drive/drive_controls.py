@@ -30,7 +30,7 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The config key of a command axis's range, such as ``env.commands.<term>.ranges.lin_vel_x``."""
+        """The config key of the axis's command range, such as ``env.commands.<term>.ranges.lin_vel_x``."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
@@ -98,10 +98,10 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """A request to change the driving policy or the ground; None keeps the current checkpoint or the current ground."""
+    """A user's request to load another checkpoint or to simulate another ground; None means no change."""
 
     checkpoint: Path | None = None
-    scene: str | None = None  # ``own`` is the training's ground; other values name an option of the group ``scene``.
+    scene: str | None = None  # ``own`` (the training's ground), or a config name in Hydra's group ``scene``
 
 
 @dataclass(frozen=True)

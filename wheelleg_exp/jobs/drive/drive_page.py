@@ -29,7 +29,7 @@ from wheelleg_exp.recording.writing.live_view import LOOPBACK
 
 
 def require_free(port: int, use: str) -> None:
-    """Raise WheellegError if a TCP port is in use; ``use`` names the port's purpose; port 0 means any free port."""
+    """Raise WheellegError if a TCP port cannot be opened; ``use`` is the port's purpose, for the error message."""
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -103,7 +103,7 @@ def _bar(left: float, width: float, colour: str) -> str:
     )
 
 
-# A browser names a key by its position, so that the name does not depend on the keyboard layout.
+# JavaScript key codes, such as ``KeyW``, name positions of keys, independent of the keyboard layout.
 KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
     **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
@@ -200,7 +200,7 @@ class InputServer:
             self.press(said["press"])
 
 
-# The camera's initial position is ``_CAMERA_FROM`` times ``_HEIGHTS_AWAY`` times the height of the robot's base.
+# ``_CAMERA_FROM * _HEIGHTS_AWAY * base_height`` is the camera's initial position in the world frame.
 _CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
@@ -330,7 +330,7 @@ class DrivePage:
 
         @slider.on_update
         def _(event: Any) -> None:
-            if event.client is not None:  # The user, not this program, moved a command's slider on the web page.
+            if event.client is not None:  # ``event.client`` is None if this program, not the user, moved the slider.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 

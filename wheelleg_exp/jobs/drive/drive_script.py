@@ -107,7 +107,7 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Return an entry of a drive script, and the time at which this entry ends; the previous entry ends at ``end``."""
+    """Read one entry of a drive script; its default start time is ``end``. Return the entry and its end time."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]
@@ -150,7 +150,7 @@ def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
         parts = push if isinstance(push, list) and len(push) == 2 else [push]
         if not all(map(_is_number, parts)):
             expected = "m/s forwards, or [forwards, to the left]"
-            raise ConfigError(f"{push!r} is not a push in m/s", key="push", where=place.of("push"), expected=expected)
+            raise ConfigError(f"{push!r} is not a speed in m/s", key="push", where=place.of("push"), expected=expected)
         yield Push(*map(float, parts))
 
 

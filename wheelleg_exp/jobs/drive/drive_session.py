@@ -91,7 +91,7 @@ class DriveMeter:
         }
 
     def _look(self) -> tuple[float, dict[str, float]]:
-        """Return the robot's height and the measured values of all commanded quantities; call once per control step."""
+        """Return the robot's height (m) and the measured value of each command component, such as the speed."""
         scene, measured = self._env.scene, {}
         position = scene.robot.data.root_pos_w
         height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])
@@ -117,7 +117,7 @@ class Status:
 
 
 class DriveSession:
-    """One robot that a user drives. After the end of an episode, the simulation waits for a call of ``reset``.
+    """A simulated robot that a user drives. After an episode ends, the simulation waits for a call of ``reset``.
 
     ``driven`` is the log of the user's commands and requests. ``fallen`` describes how the episode ended, and is None
     while the episode runs.

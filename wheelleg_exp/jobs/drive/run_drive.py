@@ -37,7 +37,7 @@ _DISTURBANCES = ("interval", "step")  # Event terms of mode ``interval`` or ``st
 
 
 def scenes() -> list[str]:
-    """Return ``own``, which selects the training's ground, and the name of each scene config with another ground."""
+    """Return the names of the available grounds: ``own`` (the training's ground) and all scene configs."""
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 
@@ -45,8 +45,8 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
     ``drivable`` sets one environment and episodes of ``drive.episode_length_s`` seconds, and removes the curriculum.
-    Events, such as pushes, happen only at startup and reset. Command terms use no heading control, and no random zero
-    commands. ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
+    Events, such as pushes, happen only at startup and reset. Heading control and random zero commands are switched off.
+    ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -59,8 +59,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
     if scene != OWN_GROUND:
-        # Replace the ground of the training by the ground of the scene that the user chose.
-        # Replace a sensor's config if the scene that the user chose configures a sensor of the same name.
+        # Use the chosen scene's ground, and its configs of those sensors that the training also has.
         own = env["scene"]
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
@@ -69,7 +68,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
     return tree
 
 
-_MAX_DELAY_S = 0.1  # On a slow machine, ``RealTimePacer`` does not catch up delays above 0.1 s: motion becomes slower.
+_MAX_DELAY_S = 0.1  # If the simulation is more than 0.1 s behind real time, the excess delay is not caught up.
 
 
 class RealTimePacer:
@@ -94,7 +93,7 @@ class RealTimePacer:
             self._sleep(left)
 
     def is_frame_due(self) -> bool:
-        """Return whether the next picture of the robot is due; if true, schedule the following picture."""
+        """Return whether it is time to draw the robot again; if so, schedule the next drawing."""
         now = self._clock()
         if now < self._next_frame:
             return False
@@ -216,7 +215,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Simulate the driven robot; return a user's choice of a new checkpoint or ground; None if the user stopped."""
+        """Simulate until the drive ends or the user chooses another checkpoint or ground; return this choice."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):

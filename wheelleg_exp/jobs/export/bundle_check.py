@@ -1,6 +1,6 @@
 """Record episodes in the training's simulation, and compare each policy file of a bundle with the recorded actions.
 
-Each policy file computes actions from recorded observations, because a closed loop would amplify rounding errors.
+The policy files get the recorded observations as inputs, because in a closed loop rounding errors would grow.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def recorded_episodes(
 ) -> dict[str, np.ndarray]:
     """Record a policy's observations and actions in the first environment, as float32, one row per control step.
 
-    ``policy`` computes the mean action that controls the robot. ``trained`` computes the mean action of the policy in
-    float32, as in training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T,
-    width); ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J):
-    positions, velocities, efforts of all joints.
+    ``policy`` computes the actions that control the robot; ``trained`` computes the same actions in float32, as in
+    training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width);
+    ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions,
+    velocities, efforts of all joints.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray]] = {}
@@ -67,7 +67,7 @@ def recorded_episodes(
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return joint targets (N, 3, J) of the first physics step after ``actions``; reset the action manager's state."""
+    """Return the first physics step's joint targets (N, 3, J) for ``actions``; restore the action manager's state."""
     # The training does not clip joint targets, but the exported ``runner.py`` clips them to the joint limits.
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
@@ -114,10 +114,10 @@ int main(void) {
 
 
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
-    """Return how much each policy file's outputs differ from ``check.npz``, and a note if the C header was skipped.
+    """Return each policy file's largest difference from ``check.npz``, and a note if no C compiler is installed.
 
-    ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``.
-    SimulationFailure means that outputs of a policy file differ from ``check.npz`` by more than the tolerance.
+    ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``. If a
+    policy file's outputs differ from ``check.npz`` by more than the tolerance, raise SimulationFailure.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
     recorded = dict(np.load(folder / "check.npz"))
@@ -159,5 +159,5 @@ def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[di
 
 
 def _rows(recorded: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Concatenate the arrays ``names`` (T, ...) of a recording to one float32 array (T, sum of their widths)."""
+    """Join the recorded arrays ``names`` (T, ...) into one float32 matrix with one row per control step."""
     return np.concatenate([recorded[name].reshape(len(recorded["reset"]), -1) for name in names], 1, dtype=np.float32)

@@ -51,7 +51,7 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
-    """Return an actuator group's control law (from joint targets to torques); None if the export lacks this law."""
+    """Return an actuator group's control law, such as ``pd``; None if the export does not support this group."""
     return _DRIVE_LAWS.get(type(group))
 
 
@@ -77,7 +77,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    # ``effective`` is the inertia that a torque at one joint accelerates while all other joints can move freely.
+    # ``effective`` is each joint's ratio of torque to acceleration if all other joints can move freely.
     effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
@@ -166,7 +166,7 @@ _GAUSSIAN = GaussianDistribution.__name__
 
 
 def require_perceptron(section: Mapping[str, Any], key: str) -> None:
-    """Raise ConfigError for a network that is not a perceptron with the mean action as its output."""
+    """Raise ConfigError unless the network is an ``MLPModel`` whose output is the mean action."""
     if section["class_name"] != MLPModel.__name__:
         message = f"a runner does not know networks of class '{section['class_name']}'"
         raise ConfigError(message, key=f"{key}.class_name", expected="MLPModel: no memory of its own, no pictures")
@@ -203,7 +203,7 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
     """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
-    # torch and NumPy round float32 sums differently; actions that are computed in float64 and then rounded are equal.
+    # In float32, torch and NumPy would give different actions, because they round sums differently.
     precise = copy.deepcopy(policy).double()
 
     def act(observations: TensorDict) -> torch.Tensor:
@@ -224,8 +224,8 @@ def specification(
 ) -> dict[str, Any]:
     """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
-    In ``policy.json``, a list with one value per joint has the order of ``joint_names``, and null means no limit. Keys
-    that Isaac Lab also has are named as in Isaac Lab. ``env`` must have one robot and no events, because events can
+    In ``policy.json``, lists of joint values follow the order of ``joint_names``; a limit of null means unlimited.
+    ``policy.json`` uses Isaac Lab's names where possible. ``env`` must have one robot and no events, because events can
     change the robot. ``ranges`` contains the range [low, high] of each command component at the end of training.
     """
     robot, layout = env.scene.robot, env.scene.robot.layout

@@ -1,8 +1,8 @@
 """Write ``policy.h``: the policy as one C99 header, from sensor readings to joint targets.
 
 The header is generated from ``policy.json`` and the network's arrays: fixed numbers become constants, and memory
-becomes a struct. In the C code of ``policy.h``, ``r`` points to the sensor readings, ``s`` to the policy's state, and
-``v`` to an observation term's value.
+becomes a struct. ``policy.h`` uses three C pointers: ``r`` to sensor readings, ``s`` to the policy's state, ``v`` to an
+observation term.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
 
 
 def action_lines(name: str, term: Spec) -> Iterator[str]:
-    """Yield the C lines that compute the processed action ``s->processed_<name>`` of an action term."""
+    """Yield C code that scales, clips, and filters the network's output for one action term."""
     for i, joint in enumerate(term["joint_ids"]):
         out = f"s->processed_{name}[{i}]"
         if "alpha" in term:  # The moving average of joint targets starts at the current joint positions.
@@ -173,7 +173,7 @@ _ACTIVATIONS = {
 
 
 def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the C header ``policy.h`` as text; ``spec`` is ``policy.json``; ``arrays`` are the network's weights."""
+    """Return the text of ``policy.h`` for the content of ``policy.json`` and the arrays of the policy network."""
     groups = enumerate(spec["observations"])
     terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
@@ -238,7 +238,7 @@ def _literal(word: str, kind: str) -> str:
 
 
 def _layout(spec: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the C lines that copy the histories of observation terms into the observation, group by group."""
+    """Yield C code that concatenates the histories of all observation terms into the network's input."""
     yield "next = s->observation;"
     for g, group in enumerate(spec["observations"]):
         lengths = [max(1, term["history_length"]) for term in group["terms"]]

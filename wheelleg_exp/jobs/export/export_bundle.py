@@ -63,17 +63,17 @@ _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
 def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``env`` config with one environment, and without the events and curricula, which change parameters."""
+    """Return a copy of the ``env`` config with one environment, and without events, curricula, and recorders."""
     found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
     found["sim"]["nthread"] = 1
     return found
 
 
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
-    """Return the ``env`` config of episodes that the exported ``runner.py`` can reproduce from sensor readings.
+    """Return the ``env`` config of the simulation in which the exported policy files are checked.
 
-    The returned config has no noise, delays, encoder errors, pushes, and randomization of the robot. Wheel joints are
-    reset to their default positions, because the exported ``runner.py`` measures wheel angles from the reset.
+    The checked simulation has no noise, delays, encoder errors, pushes, or randomization of the robot. Wheel joints
+    start at their default positions, because the exported ``runner.py`` counts wheel angles from the reset.
     """
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
@@ -95,8 +95,8 @@ def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model with the content of ``policy.json`` as metadata.
 
     In the ONNX metadata, a list such as ``joint_names`` is one string of comma-separated values, as in mjlab's exports.
-    ``action_scale`` and ``action_offset``, in the order of ``action_joint_names``, exist if every action term has a
-    scale and an offset.
+    ``action_scale`` and ``action_offset`` (ordered like ``action_joint_names``) exist if every action term has a scale
+    and an offset.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
@@ -138,16 +138,17 @@ class Exported:
     run: RunDirectory
     checkpoint: Path
     folder: Path
-    differences: Mapping[str, float]  # Each policy file's largest difference from the actions of the trained policy.
-    notes: Sequence[str]  # Each note names a missing part of the exported folder, with the reason.
+    differences: Mapping[str, float]  # maps each policy file to its largest action difference from the trained policy
+    notes: Sequence[str]  # Each text explains why a file or feature is missing in the exported folder.
 
 
 def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
     """Write a run's policy as a bundle, by default into the folder ``exported/bundle`` of the run directory.
 
-    If the default folder already exists, a number is appended to the name of the new folder. If ``checkpoint`` is
-    None, the last checkpoint of the run is exported. ConfigError means that a policy cannot run without the simulation.
-    If an exported policy file gives different actions than the simulation, raise SimulationFailure and write nothing.
+    If the default folder already exists, a number is appended to the name of the new folder. If ``checkpoint`` is None,
+    the last checkpoint of the run is exported. If the exported ``runner.py`` cannot compute the policy, raise
+    ConfigError. If an exported policy file gives different actions than the simulation, raise SimulationFailure and
+    write nothing.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
@@ -156,7 +157,6 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     with for_people(target), temporary_folder(target) as work:
         differences, notes = _fill(work, run, checkpoint)
         sync_folder(work)
-        # If the bundle's default folder exists, append a number to the name; if a user's folder exists, raise an error.
         number, place = 1, target
         while place.exists() or place.is_symlink():
             if output is not None:
@@ -179,7 +179,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Export the policy; return each file's action error against the trained policy, and a text per missing part."""
+    """Write all files of the bundle; return the values of ``Exported.differences`` and ``Exported.notes``."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)

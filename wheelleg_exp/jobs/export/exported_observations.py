@@ -55,7 +55,7 @@ QUANTITIES = {
 
 
 def reading(name: str) -> Reading:
-    """Return the unit, meaning, and function of a policy's input, such as ``base_quat`` or ``<imu>.<quantity>``."""
+    """Return unit, meaning, and simulation function of a sensor reading or command, such as ``base_quat``."""
     if name in READINGS:
         return READINGS[name]
     if not name.startswith(COMMANDS):

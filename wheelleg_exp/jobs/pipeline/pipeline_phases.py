@@ -90,5 +90,5 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
 
 
 def streak(verdicts: list[bool]) -> int:
-    """Return how many times in a row, up to the last evaluation, a training phase's policy passed its evaluation."""
+    """Return the number of passed evaluations since the last failed evaluation."""
     return len(list(takewhile(bool, reversed(verdicts))))

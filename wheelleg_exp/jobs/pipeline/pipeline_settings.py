@@ -27,7 +27,7 @@ _NAME = re.compile(r"[\w-]+")  # A pipeline phase's name is a part of config key
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """The config and phases of a training pipeline; ``composed`` is None if the config was read from a record."""
+    """The config of a training pipeline and its phases; ``composed`` is None if a saved config was read."""
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
@@ -58,7 +58,7 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return the Hydra overrides for training a pipeline's phase, except ``init_from`` and ``agent.max_iterations``.
+    """Return a phase's training overrides, without ``init_from`` and ``agent.max_iterations``, which the pipeline adds.
 
     ``overrides`` are the overrides of the command line, which apply to all phases of the pipeline.
     """
@@ -85,7 +85,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # Entering ``initial_file`` checks the checkpoint with which the phase's training starts.
+                pass  # The context manager checks the checkpoint that initializes the phase's networks.
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:
@@ -121,7 +121,7 @@ def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[Config
 
 
 def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose the protocol and the seed of a gate, which is an evaluation that a pipeline phase must pass."""
+    """Compose the evaluation config of a gate, which is an evaluation that a pipeline phase must pass."""
     composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
     with composed.placing():
         require_fit("seed", composed.config["seed"], Seed)
@@ -129,7 +129,7 @@ def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
 
 
 def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
-    """Convert an error in a phase's training config into an error that names the wrong key in the pipeline's config."""
+    """Return an error about a training config with the responsible key, such as ``pipeline.phases.walk.task``."""
     blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
     if blamed == f"task={phase.task}":
         return _at_key(error, f"{key}.task")
@@ -141,20 +141,20 @@ def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: S
 
 
 def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
-    """Convert an error in a phase's evaluation into an error that names the wrong key in the pipeline's config."""
+    """Return an error about an evaluation config with the responsible key, such as ``pipeline.phases.walk.gate``."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
     if blamed == f"protocol={gate.protocol}":
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
-    # Several overrides can cause one wrong value, so the error names the phase's whole list ``gate.overrides``.
+    # If several overrides together cause the error, name the whole list ``gate.overrides`` as the wrong key.
     if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):
         return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", "")
     return error
 
 
 def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
-    """Return a copy of ``error`` with the key ``key``; with ``blamed``, the copy's message contains the old key."""
+    """Return ``error`` with a new key; if ``blamed`` is given, the message keeps the old key."""
     message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
     return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 
@@ -162,7 +162,6 @@ def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigEr
 def _mistakes_by_phase(
     wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
 ) -> Iterator[ConfigError]:
-    """Add a phase's name to each config mistake of a pipeline; yield a mistake that all phases share only once."""
     of_all = [
         {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
         for errors in wrong.values()

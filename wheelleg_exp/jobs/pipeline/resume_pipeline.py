@@ -18,7 +18,7 @@ from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-# A resume can change ``max_iterations`` and ``gate`` of a pipeline phase that has already started.
+# Of a phase that has already started, a resume can change only ``max_iterations`` and ``gate``.
 _CHANGEABLE_LATER = ("max_iterations", "gate")
 
 
@@ -56,7 +56,7 @@ def resume_pipeline(
         if asked.gate is not None:
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
-        message = "a resume can change only settings of pipeline phases"
+        message = "a resume cannot add, remove, or reorder pipeline phases"
         raise ConfigError(message, key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"])))
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
@@ -70,7 +70,7 @@ def resume_pipeline(
 
 
 def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the config folders of a resumed pipeline, which needs all its recorded folders to compose its phases."""
+    """Return the config folders of a resumed pipeline; raise ConfigError if a recorded folder cannot be used."""
     recorded = index.data["config_dirs"]
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
@@ -82,7 +82,7 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
 
 
 def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
-    """Check that each changed gate (evaluation of a phase) measures every metric for which the gate has a bound."""
+    """Raise ConfigError if a changed evaluation does not compute a metric for which the phase has a bound."""
     if phases:
         from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
 
@@ -95,7 +95,7 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     phase = next((phase for phase in index.phases if phase["name"] == name), None)
     if phase is None:
         raise ConfigError(
-            "a resume can change only settings of pipeline phases", key=change.key, expected="settings of its phases"
+            "a resume can change only settings in pipeline.phases", key=change.key, expected="settings of its phases"
         )
     if phase["status"] == "passed":
         raise ConfigError(
@@ -111,7 +111,7 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
 
 
 def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
-    """Return the updated record entry of a phase that failed its gate (evaluation), for a resume of the pipeline."""
+    """Return the changed record of a phase that failed its evaluation and is now trained further."""
     if not any(change.keys[2] == phase["name"] for change in found):
         message = f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}"
         expected = f"more than {config['max_iterations']}, or another gate"

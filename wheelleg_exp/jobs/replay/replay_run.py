@@ -53,7 +53,7 @@ def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | Non
 
 
 def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
-    """Raise RunDirectoryError if a run's snapshot differs from its manifest, or several processes trained the run."""
+    """Raise RunDirectoryError if snapshot files are missing or changed, or if several processes trained the run."""
     if manifest.matches_digest() is False:
         message = "the manifest was changed after the run wrote it"
         raise RunDirectoryError(message, where=str(run.path / MANIFEST_NAME), expected="an unchanged run")
@@ -96,8 +96,8 @@ class Replayed:
     whole: bool  # True if the replay repeated all iterations of the original run.
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # ``composed["equal"]`` is true if the run's overrides still compose to the run's saved config.
-    asset: Event  # ``asset["note"]`` is the reason why the replay did not convert the robot from its source files.
+    composed: Event  # ``composed["equal"]`` is true if Hydra composes the run's overrides to the same config again.
+    asset: Event  # ``asset["note"]`` explains why the replay used the saved robot instead of a new conversion.
     notes: list[str]
     kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison
@@ -208,8 +208,8 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     environ = replay_environ(recorded, also=asked_for)
     if manifest.data.get("config_variables") is None:
         return environ
-    # An environment variable that the config names and the manifest lacks was not set in the original run.
-    # Remove environment variables that the original run lacked; keep variables with secrets, which no manifest records.
+    # Remove environment variables that the config reads but that were not set in the original run.
+    # Keep variables with secrets (such as API keys), because no manifest records them.
     in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
     return {name: value for name, value in environ.items() if name not in in_vain}
 

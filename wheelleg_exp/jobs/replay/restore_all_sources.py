@@ -24,10 +24,10 @@ _UNSAFE = re.compile(r"[^\w.-]")
 
 @dataclass(frozen=True)
 class RestoredTree:
-    """A source folder that a run recorded, with the origin of the folder's restored content."""
+    """A source folder of a run, and the place from which its content was restored."""
 
     root: str
-    how: str  # ``how`` says whether the source folder is restored, installed, in place (not restored), or missing.
+    how: str  # ``how`` is 'restored', 'installed', 'in place' (the present folder is used), or 'missing'.
     commit: str | None = None
     tree: str | None = None
     origin: str | None = None  # the git repository from which the recorded commit was read
@@ -37,11 +37,11 @@ class RestoredTree:
 class RestoredSource:
     """All source folders that were restored for a replay of a run."""
 
-    trees: list[RestoredTree] = field(default_factory=list)  # ``trees[0]`` is the folder of the package wheelleg_exp.
-    places: dict[str, Path] = field(default_factory=dict)  # ``places`` maps packages to the folders that contain them.
+    trees: list[RestoredTree] = field(default_factory=list)  # The first folder contains the package wheelleg_exp.
+    places: dict[str, Path] = field(default_factory=dict)  # maps each package name to the package's parent folder
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # all source folders except the folder of wheelleg_exp
+    source_roots: list[Path] = field(default_factory=list)  # source folders of the run, without that of wheelleg_exp
     moved: dict[str, Path] = field(default_factory=dict)  # ``moved`` maps recorded source folders to restored copies.
     notes: list[str] = field(default_factory=list)
 
@@ -162,7 +162,7 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use the current content of a source folder that the run did not save, and add a note about differences."""
+    """Use a source folder whose content the run did not save, as it is now; add a note about possible differences."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
     unchanged = digest is not None and root.exists() and content_digest(root) == digest

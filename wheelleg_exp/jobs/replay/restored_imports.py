@@ -1,8 +1,8 @@
 """Start a training in a process that imports packages from restored source folders.
 
 The file ``restored_imports.py`` runs as a script, before any module of ``wheelleg_exp`` is imported. Its last argument
-is JSON: the folder of each top-level package or module. A module that the restored source lacks is not searched on
-``sys.path``, which may contain a different version.
+is JSON: the folder of each top-level package or module. If the restored source lacks a module, the import fails,
+because ``sys.path`` may contain another version.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 _OWN = "wheelleg_exp"
-# The paths of the module that repeats a run's training, in this version and in older versions of this package.
+# Older versions of wheelleg_exp have the module ``snapshot_training`` in another folder.
 ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
 
 

@@ -1,8 +1,7 @@
 """Train a run again from its snapshot, in a child process that imports the run's restored source code.
 
-The parent process and the child process may run different versions of ``wheelleg_exp``. The protocol between parent and
-child process (see ``child_process``) is small and has a version number. The child sends the events ``began``, ``note``,
-``composed``, ``asset``, ``run``, ``iteration`` and ``ended`` to the parent.
+Parent and child process may run different versions of ``wheelleg_exp``, so the request contains a protocol version. The
+child sends the events ``began``, ``note``, ``composed``, ``asset``, ``run``, ``iteration`` and ``ended`` to the parent.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send an event with ``facts`` to the parent process, and store ``facts`` for the manifest of the replay."""
+        """Send an event to the parent process, and store its data ``facts`` for the replay's manifest."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 
@@ -187,7 +186,7 @@ def _converted_again(
 
 
 def _moved(name: str, moved: Mapping[str, str]) -> str:
-    """Return a recorded path as an absolute path; a path in a recorded folder becomes a path in its restored folder."""
+    """Replace a recorded source folder at the start of a path by its restored copy."""
     for before, after in moved.items():
         if Path(name).is_relative_to(before):
             return str(Path(after) / Path(name).relative_to(before))
@@ -216,7 +215,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
 
 
 def _first_difference(recorded: Any, now: Any, path: str) -> str | None:
-    """Return the first difference between two configs, which can be a different order of their keys."""
+    """Describe the first difference between two configs; a different order of keys is also a difference."""
     if isinstance(recorded, Mapping) and isinstance(now, Mapping):
         for key in [*recorded, *(k for k in now if k not in recorded)]:
             below = f"{path}.{key}" if path else str(key)

@@ -1,7 +1,7 @@
 """Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
 
-A run directory stores a copy of its initial networks, so that the run can be reproduced without the run that trained
-these networks. ``fit`` compares the observations, actions, and network sizes of a saved policy and of a new training.
+Each run directory has its own copy of the initial networks, so that a reproduction needs no other run. ``fit`` compares
+the observations, actions, and network sizes of a saved policy and of a new training.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
 # ``_TERM_KEYS`` are the config keys of an observation term that decide its function and its number of values.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
-Tree = Mapping[str, Any]  # ``Tree`` is the type of config sections and of loaded checkpoints.
+Tree = Mapping[str, Any]  # a config section or a loaded checkpoint
 _IGNORED_KEYS = ("noise",)  # A change of an observation term's ``noise`` leaves a trained policy usable.
 
 
@@ -39,18 +39,17 @@ class Fit:
     """The differences between the settings of a policy's earlier training and the settings of a new training."""
 
     mistakes: list[ConfigError]  # ``mistakes`` names changed settings that make an already trained policy unusable.
-    suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change an observation's width.
-    notes: list[str]  # ``notes`` names changed settings with which an already trained policy may remain usable.
+    suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change the observation size.
+    notes: list[str]  # ``notes`` reports changed settings after which the trained policy may still work.
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
-    """Compare the settings of a policy's earlier training with the settings of a new training.
+    """Compare the ``env`` and ``agent`` configs of a policy's training with those of a new training.
 
     ``was`` and ``now`` are the sections ``env`` and ``agent`` of the saved policy's config and of the new config.
-    ``roles`` names the networks to copy. Error messages use ``of`` as the name of the training that produced the saved
-    policy. Only a built environment shows whether a changed parameter, such as a list of joints, changes an observation
-    term's width. If a parameter of an observation function differs from the saved policy's config, ``fit`` reports a
-    note, not a mistake.
+    ``roles`` lists the networks to copy, such as ``actor``. ``of`` is the name of the earlier training in error
+    messages. A changed parameter of an observation function gives only a note, because its effect on the observation
+    size is not known before the environment is built.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -130,7 +129,7 @@ def _shorten(value: Any) -> str:
 
 
 KEY, WHAT = "init_from", "init_from_what"
-# For each value of `init_from_what`, ``PARTS`` names the parts of a checkpoint that a new training copies.
+# ``PARTS`` maps each value of ``init_from_what`` to the checkpoint entries that a new training copies.
 PARTS = {"networks": ("actor", "critic"), "policy": ("actor",), "learning": ("actor", "critic", "optimizer")}
 
 
@@ -146,11 +145,11 @@ class _Source:
 
 @contextmanager
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield a dict with the file of the initial networks, and a dict with the id and task of the networks' run.
+    """Yield the file of the initial networks (by file name), and the id and task of the run that trained them.
 
     The file of the initial networks does not name the run that trained them, so that equal networks have equal files.
-    ``note`` receives a text about each tolerated difference between ``config`` and the initial networks' training
-    config. ConfigError means that the checkpoint in ``init_from`` is missing, is damaged, or does not fit ``config``.
+    The function ``note`` receives a text for each allowed difference between ``config`` and the config of the networks'
+    run. ConfigError means that the checkpoint in ``init_from`` is missing, is damaged, or does not fit ``config``.
     """
     if config.get(KEY) is None:
         yield {}, {}
@@ -182,7 +181,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
 
 
 def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
-    """Return the initial networks that the run directory contains; None without ``init_from``."""
+    """Load the initial networks from the run directory; return None if the config has no ``init_from``."""
     if config.get(KEY) is None:
         return None
     path = asset.output.parent / INITIAL
@@ -226,7 +225,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
     if source.run is None:
         return
     env, agent = load_params(source.run)
-    if "actor" not in agent:  # A distillation run has no actor that could be compared with the new training's actor.
+    if "actor" not in agent:  # A distillation run has no config section ``actor``, so nothing is compared.
         return
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
@@ -237,7 +236,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
 
 @contextmanager
 def _at_key(key: str) -> Iterator[None]:
-    """Convert a RunDirectoryError inside the ``with`` block into a ConfigError about the config key ``key``."""
+    """Turn a RunDirectoryError in the ``with`` block into a ConfigError for the config key ``key``."""
     try:
         yield
     except RunDirectoryError as error:
@@ -246,7 +245,7 @@ def _at_key(key: str) -> Iterator[None]:
 
 
 def find_teacher(config: Tree) -> dict[str, Path]:
-    """Return a dict with the teacher's checkpoint file as its only value; empty if the config names no teacher."""
+    """Return the teacher's checkpoint file as ``{TEACHER: path}``, or {} if the config names no teacher."""
     named = config["agent"].get("teacher_checkpoint")
     if named is None:
         return {}

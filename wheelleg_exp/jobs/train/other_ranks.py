@@ -1,4 +1,4 @@
-"""Train in the processes of the ranks above 0; only rank 0 writes files, with ``run_training``.
+"""Train in all ranks (processes) except rank 0, which runs ``run_training`` and writes all files.
 
 All ranks must call the collective operations in the same order, because each operation waits until all ranks call it.
 """

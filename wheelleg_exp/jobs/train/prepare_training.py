@@ -5,7 +5,7 @@ only rank 0 creates the run directory.
 
 1. ``find_inputs``: check that the config can be recorded, find the networks of other runs, convert the robot.
 2. ``build_trainer``: build the environment, set the threads, build the networks and the trainer.
-3. Exchange facts about the machines on which the ranks run.
+3. Collect the seed, device, and host name of every rank.
 4. ``create_run``: create the run directory, and write robot, configs, source snapshot, and manifest into it.
 
 If the preparation of a training fails, no run directory is created.
@@ -56,7 +56,7 @@ class Recipe:
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None  # For a resume, ``matmul`` is the run's precision of matrix products; otherwise, None.
+    matmul: str | None = None  # the matrix product precision of a resumed run; None for a new run
 
 
 @dataclass(frozen=True)

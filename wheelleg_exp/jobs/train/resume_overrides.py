@@ -58,7 +58,6 @@ _FIXED: dict[Keys, str] = {
 }
 _CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can switch CUDA graphs (``env.sim.graph_step``) on or off.
 _NEW_KEYS = ("init_from", "init_from_what")  # Configs of older runs lack ``_NEW_KEYS``.
-# A resume can change the keys ``noise``, ``clip``, ``scale``, and ``enable_corruption`` of observations.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 
@@ -75,7 +74,7 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
 
 
 def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
-    """Return a run's config after the overrides of a resume, and the changes; reject changes of unchangeable keys."""
+    """Apply the overrides of a resume; return the new config and its changes, or raise ConfigError for a fixed key."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
     found = list(changes(recorded, tree, _same_value))
@@ -93,7 +92,7 @@ def _same_value(was: Any, now: Any) -> bool:
 
 
 def change_entry(change: Change) -> dict[str, Any]:
-    """Return the manifest's entry for a config change, in which None stands for the value of a missing key."""
+    """Return a config change for the manifest; a missing key has the value None."""
     was, now = (None if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "was": was, "now": now}
 
@@ -126,7 +125,7 @@ def _refusal(change: Change, why: str) -> ConfigError:
 def rewritten_files(
     run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
-    """Return the new text of each config file of a run, by relative path, for settings that a resume changes."""
+    """Return the new texts of the run's config files, by path, if a resume changes settings; otherwise, return {}."""
     if not found:
         return {}
     config = load_config(run)
@@ -141,7 +140,7 @@ def rewritten_files(
 
 
 def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
-    """Write a changed value into the unresolved config; if a parent key is an interpolation, resolve this parent."""
+    """Write one change into the unresolved config; an interpolation that contains the key is resolved first."""
     node: Any = config
     for key in change.keys[:-1]:
         tree = tree.get(key) or {}
@@ -157,13 +156,13 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
 
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of a run and its resume; if both set a key, return only the override of the resume."""
+    """Join the overrides of a run and of its resume; the resume's override replaces one with the same key."""
     return list({**{_key(word): word for word in words}, **{_key(word): word for word in overrides}}.values())
 
 
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # Hydra cannot parse the override ``word``, so ``word`` itself is its key.
+    except (HydraException, RecursionError):  # Use the whole override as key if Hydra cannot parse it.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

@@ -35,7 +35,7 @@ class ResumePoint:
     checkpoint: Path | None  # the checkpoint from which the run resumes; None if the run restarts at iteration 0
     state: Mapping[str, Any] | None
     lines: Sequence[Line]  # the complete lines in the run's iteration log
-    damaged: Mapping[Path, str]  # maps each unusable checkpoint to the reason; all of them are newer than ``iteration``
+    damaged: Mapping[Path, str]  # maps each damaged checkpoint after ``iteration`` to a text about the damage
 
     @property
     def kept(self) -> list[Mapping[str, Any]]:
@@ -43,7 +43,7 @@ class ResumePoint:
         return [line.content for line in self.lines[: self.iteration]]
 
     def dropped(self, until: int) -> dict[int, Mapping[str, str]]:
-        """Return the digests (hashes) of the iterations below ``until`` that the resume computes a second time."""
+        """Return the logged digests (hashes) of iterations before ``until`` that the resume must compute again."""
         later = (line.content for line in self.lines[self.iteration : until])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
@@ -51,8 +51,7 @@ class ResumePoint:
 def find_point(run: RunDirectory) -> ResumePoint:
     """Find the last complete checkpoint of a run.
 
-    RunDirectoryError means that the run's iteration log does not match the checkpoint, or that this version cannot
-    resume the run.
+    If the iteration log does not match the checkpoints, or the checkpoint's format is too old, raise RunDirectoryError.
     """
     lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
@@ -72,8 +71,8 @@ def find_point(run: RunDirectory) -> ResumePoint:
         if len(point.lines) < point.iteration:
             assert point.checkpoint is not None
             raise RunDirectoryError(
-                f"{run.iterations.name} has no full line of iteration {len(point.lines)}, but {point.checkpoint.name} "
-                "exists, so the log would have a gap",
+                f"{run.iterations.name} has no complete line of iteration {len(point.lines)}, but the checkpoint "
+                f"{point.checkpoint.name} exists",
                 key=str(run.iterations),
                 expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
                 f"model_{len(point.lines)}.pt on, to resume from an earlier one",
@@ -92,13 +91,13 @@ def find_point(run: RunDirectory) -> ResumePoint:
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Return texts about damaged files of the run, except for files that a resume writes again."""
+    """Describe damage to those files of a run that a resume does not write again."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
 
 def _lasts(name: str, start: int) -> bool:
-    """Return whether a resume from the iteration ``start`` keeps a file, at least in part."""
+    """Return whether a resume at iteration ``start`` keeps the file or a part of it."""
     checkpoint = CHECKPOINT.fullmatch(name)
     if checkpoint is not None:
         return int(checkpoint[1]) < start
@@ -119,7 +118,7 @@ _DAMAGED = ".damaged"
 def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
     """Remove all data after the checkpoint, and unfinished data of a killed process, from the run's files.
 
-    If ``events`` is false, TensorBoard's event files remain unchanged.
+    ``events`` selects whether TensorBoard's event files are also cut.
     """
     for path in point.damaged:
         with for_people(path):
@@ -130,13 +129,13 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        # Remove exported policy files, which become stale; keep exported folders, which name the exported checkpoint.
+        # Delete exported single files, because they do not name their checkpoint, as exported folders do.
         for path in run.exported.iterdir() if run.exported.is_dir() else ():
             if path.is_file():
                 path.unlink()
             elif path in temporaries(run.exported):  # A killed export process can leave a temporary folder.
                 shutil.rmtree(path)
-        (run.path / FAILURE).unlink(missing_ok=True)  # Delete the simulation state of a failure before the resume.
+        (run.path / FAILURE).unlink(missing_ok=True)  # Delete the simulation state that an earlier failure saved.
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)

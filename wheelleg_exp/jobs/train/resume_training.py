@@ -46,8 +46,8 @@ def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: S
 def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
     """Load the state of a checkpoint into a training; return texts about state that could not be restored exactly.
 
-    Each rank (process) loads its own part of the checkpoint's state. ``learning_rate``, unless None, replaces the
-    learning rate of the checkpoint.
+    Each rank (process) loads its own part of the checkpoint's state. A ``learning_rate`` that is not None replaces the
+    learning rate in the checkpoint.
     """
     own = state_of_rank(state, trainer.ranks.rank)
     trainer.load_state_dict(own)
@@ -163,7 +163,7 @@ def _prepare(
         )
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    if not manifest.data["source"]:  # The run was killed while its source code was recorded.
+    if not manifest.data["source"]:  # If the run was killed before its source code was recorded, record the code now.
         complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
     # 3. Load the checkpoint, and collect the reasons why the resumed run may be inexact.
     with ranks.agreed():
@@ -227,7 +227,7 @@ def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
 
 
 def _config_dirs_of_command(manifest: Manifest) -> list[str]:
-    """Return the config folders in a run's command line, for a run that was killed before its manifest had folders."""
+    """Return the config folders that the run's command line names with ``--config-dir``."""
     words = [str(word) for word in manifest.data.get("command") or ()]
     named = [after for word, after in pairwise(words) if word == "--config-dir"]
     named += [word.partition("=")[2] for word in words if word.startswith("--config-dir=")]
@@ -246,7 +246,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """If a config names a forbidden function, add to the error the run's config folders that this resume ignores."""
+    """Add the config folders that this resume ignores to an error about a function that is not allowed."""
     try:
         yield
     except ConfigError as error:
@@ -275,7 +275,7 @@ def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequ
 
 
 class RecomputedCheck:
-    """Compares iterations that a resume computes again with the digests (hashes) of their first computation."""
+    """Compares the digests (hashes) of recomputed iterations with the digests that the run logged before the stop."""
 
     def __init__(self, expected: Mapping[int, Mapping[str, str]], manifest: Manifest, display: Display) -> None:
         self._expected, self._manifest, self._display = dict(expected), manifest, display

@@ -94,7 +94,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            # After a resume, replace the old count of NaNs in the run's manifest.
+            # A resume must also replace a NaN count that the manifest already contains.
             if failed or "non_finite" in training.manifest.results:
                 results["non_finite"] = dict(failed)
             yield iteration
@@ -108,7 +108,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the output files of a run; after closing, record how episodes ended, and warn about unfinished files."""
+    """Open the run's output files; on exit, record how episodes ended, and warn about unfinished files."""
     config, directory = training.recipe.config, training.directory
     documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
     options, logger = RecordingOptions(**config["recording"]), config["agent"].get("logger")
@@ -123,7 +123,7 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
                 first = error
                 raise
     except BaseException as error:
-        first = first or error  # Raise the training's error, which usually caused a later error while closing files.
+        first = first or error  # Report the training's error, not an error that it caused while files were closed.
         try:
             _record_end(training, outputs, display)
         except Exception as second:
@@ -143,7 +143,7 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     if unfinished:
         text = f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
         display.note(text + "'wheelleg inspect RUN --repair' writes a copy with one")
-    # A resume can finish a recording that the manifest still calls unfinished.
+    # A resumed run may have finished a recording that was unfinished before.
     if unfinished or "recording_unfinished" in training.manifest.data:
         training.manifest.record(recording_unfinished=unfinished)
 

@@ -1,10 +1,10 @@
 """Log the scalars of a training to TensorBoard's event files and to Weights & Biases.
 
 An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content. The
-content is an ``Event`` message: first the file's version, then scalars by step. A resume removes scalars after the
-checkpoint from TensorBoard's event files, which then contain each iteration once. Weights & Biases receives only the
-name, the composed config, and the scalars of a run. rsl_rl's own writer is not used: it also sends the local path and a
-git diff, takes the account from ``WANDB_USERNAME`` for a team, and uploads every video.
+content is an ``Event`` message: first the file's version, then scalars by step. A resume removes all scalars after the
+checkpoint from TensorBoard's event files, so that no iteration occurs twice. Weights & Biases receives only the name,
+the composed config, and the scalars of a run. rsl_rl's own writer is not used: it also sends the local path and a git
+diff, takes the account from ``WANDB_USERNAME`` for a team, and uploads every video.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ def event_files(folder: Path) -> list[Path]:
 
 def open_events(folder: Path) -> SummaryWriter:
     """Return the writer of a new event file, which TensorBoard reads after all existing event files."""
-    # TensorBoard reads event files in the order of their names, which start with the creation time in whole seconds.
-    # Two event files must not be created in the same second, so that their names give their order.
+    # TensorBoard sorts event files by creation second, so wait if an existing file was created in this second.
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
         time.sleep(1.0)
@@ -48,10 +47,10 @@ def open_events(folder: Path) -> SummaryWriter:
 
 def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
     """From TensorBoard's event files, remove each scalar that the run's iteration log ``lines`` does not contain."""
-    # If the event files lack scalars, for example after a loss of data, replace all event files.
+    # If scalars are missing in the event files, write all scalars of the run's log into a new file.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
-        # Cut the event file before the first scalar of an iteration that the run's log does not contain.
+        # Cut each event file at its first scalar after the last logged iteration.
         steps = len(lines)
         end, kept = 0, 0
         for event, stop in _events(path):
@@ -150,5 +149,5 @@ class WandbLog:
         return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
-        """Send the scalars of one iteration to Weights & Biases, which ignores an iteration that it already has."""
+        """Send the scalars of one iteration; Weights & Biases ignores iterations that it already has."""
         self._run.log(dict(scalars), step=iteration)

@@ -33,8 +33,8 @@ _CALLS = ("_target_", "class_name")
 def source_roots(composed: Composed) -> list[Path]:
     """Return the folders whose source code a training depends on; the folder of this package comes first.
 
-    ``source_roots`` also returns the user's projects, Hydra's search path, and packages that the config names. The
-    folder of the robot's file is not returned, because a run directory contains a copy of the robot.
+    The list also contains the user's projects, Hydra's config folders, and packages whose functions the config names.
+    The folder of the robot's file is not returned, because a run directory contains a copy of the robot.
     """
     folders = _config_folders(composed)
     roots = [configs_dir().parent, *(folder.parent if read_project(folder.parent) else folder for folder in folders)]
@@ -128,8 +128,8 @@ def shorten(value: Any) -> str:
 def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
     """Return how this process differs from a run in source, versions, hardware, threads, and environment variables.
 
-    A difference in hardware, threads, or environment variables is returned only if it can change a training's numbers.
-    ``threads`` contains the current thread settings, which ``set_threads`` returned.
+    Differences in hardware, threads, or environment variables are returned only if they can change training results.
+    ``threads`` is the dictionary that ``set_threads`` returned for this process.
     """
     now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
     now["environment_variables"] = environment.variables()
@@ -157,7 +157,7 @@ def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the name and the value of the digest (hash) that identifies the files of a recorded source folder."""
+    """Return the git tree or content hash of a recorded source folder, as a pair of name and value."""
     if not record:
         return "(not kept)", ""
     key = "tree" if record["tree"] else "content_sha256"
@@ -166,7 +166,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
-    # Use a recorded source folder only if the user trusts it, or if it is installed or imported by this process.
+    # Recorded source folders are used only if the user trusts them, or if they are installed or imported here.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     records = [record for record in _records(load_source(run)) if record["root"] is not None]
     recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]

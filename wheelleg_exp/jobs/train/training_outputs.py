@@ -28,9 +28,8 @@ from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 class Outputs:
     """The output files of a running training, which are readable at any moment and closed on exit.
 
-    A checkpoint is written only when the logs of all its iterations are on the disk. Even after a power failure, the
-    logs contain all iterations up to the last checkpoint. ``diverged_after`` is the first iteration after which the
-    networks of two ranks differed; None if none differed.
+    Logs are synced to disk before each checkpoint, so that no checkpoint is newer than the logs after a power failure.
+    ``diverged_after`` is the first iteration with different networks in two ranks, or None.
     """
 
     def __init__(
@@ -80,9 +79,9 @@ class Outputs:
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
         """Write the scalars of one training iteration and the digests (hashes) of its state; return the digests.
 
-        ``due`` is true if a regular checkpoint is written after the iteration.
+        If ``due`` is true, the training writes a regular checkpoint after this iteration.
         """
-        # If a user has removed the run directory, a checkpoint would create a directory with only this checkpoint.
+        # Do not create a new, incomplete run directory if the user has removed the directory.
         if not self._directory.iterations.exists():
             message = f"'{self._directory.path}' was removed while it was written"
             raise RunDirectoryError(message, expected="a folder that exists until the end")
@@ -132,7 +131,7 @@ def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
 
 
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
-    """Return the part of the training state whose digests (hashes) are logged."""
+    """Return the part of the training state that is hashed for the run's log."""
     # Hash the whole training state if a checkpoint is due or if the physics engine is bitwise reproducible.
     # If the physics engine is not reproducible, hash only the networks, because no run can reproduce the whole state.
     # On a GPU, hashing the whole state takes longer than a training iteration.

@@ -28,9 +28,9 @@ _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 class Films:
     """A context manager that makes videos of the first recorded environment, without any effect on the training.
 
-    A video starts with every ``video_every``-th training iteration. A video ends with the iteration in which ``steps``
-    control steps are reached, at the latest when the next video starts. Robot positions are stored in memory, and drawn
-    as pictures between two iterations. After a rendering error, the training continues without videos, and ``ended``
+    A video starts with every ``video_every``-th training iteration. A video ends after the iteration that completes
+    ``steps`` control steps, or when the next video starts. The video's robot positions are kept in memory, and rendered
+    between two training iterations. After a rendering error, the training continues without videos, and ``ended``
     describes the error.
     """
 
@@ -109,11 +109,10 @@ def _pictures(env: ManagerBasedRLEnv) -> LivePictures:
 class TrainingRecording(ObservingRecording):
     """Records a training while entered.
 
-    ``write`` writes the data of each training iteration to the recording file. If a rollout has less than 16 steps, its
-    last frames can be written with the following iteration. At every ``interval``-th iteration, some episodes are
-    recorded, unless the recording file could become too large. In each environment, the recorded frames start with a
-    new episode, and end with the episode in which the number of frames reaches ``steps``. A resumed run records the
-    same episodes as an uninterrupted run, because only options and recorded frames determine these episodes.
+    ``write`` writes the data of each training iteration to the recording file. With less than 16 steps per rollout, the
+    last frames may be written one iteration later. At every ``interval``-th iteration, some episodes are recorded,
+    unless the recording file could become too large. In each environment, whole episodes are recorded until they have
+    at least ``steps`` frames together. A resumed run records the same episodes as an uninterrupted run.
 
     A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
     dropped, and an unfinished sample continues. ``note`` is a text with warnings about the recording, or None.
@@ -137,12 +136,12 @@ class TrainingRecording(ObservingRecording):
         super().__init__(env, recorder, live=options.live)
         self._options, self._first = options, start_iteration
         for name, text in {**run_documents(directory), **documents}.items():
-            # A resume does not replace the run's manifest inside the recording.
+            # After a resume, the recording keeps the manifest from the start of the run.
             if name != "manifest" or not self._recorder.has_document(name):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        # The number of recorded frames is largest if a full-length episode starts after ``options.steps - 1`` frames.
+        # In the longest case, an episode of full length starts after ``options.steps - 1`` recorded frames.
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
@@ -154,7 +153,7 @@ class TrainingRecording(ObservingRecording):
             self._tell_bound(0)
 
     def _warning(self) -> str | None:
-        """Return a warning if the episodes of one iteration can exceed the recording file's size limit, else None."""
+        """Return a warning if the recorded episodes of one iteration may not fit into the file's size limit."""
         if self._longest <= self._room:
             return None
         return (
@@ -165,7 +164,7 @@ class TrainingRecording(ObservingRecording):
 
     @property
     def unfinished(self) -> str | None:
-        """The reason why closing did not finish the recording file; None if the file is finished or open."""
+        """The reason why the closed recording file is incomplete; None if the file is complete or still open."""
         return self._recorder.unfinished
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
@@ -192,7 +191,7 @@ class TrainingRecording(ObservingRecording):
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
 
     def _due(self, iteration: int) -> int:
-        """Return the control step after which the episodes of ``iteration`` can be recorded."""
+        """Return the control step at which the latest recorded iteration (a multiple of ``interval``) started."""
         now = self._env.common_step_counter
         return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 
@@ -200,7 +199,7 @@ class TrainingRecording(ObservingRecording):
         return self._recorder.frames_until(due) + self._longest <= self._room
 
     def _tell_bound(self, iteration: int) -> None:
-        """Record the iteration from which no further episodes fit into the recording file's size limit."""
+        """Write a note into the recording when no further episodes fit into its size limit."""
         due, interval = self._env.common_step_counter, self._options.interval
         if self._has_room(due):
             return

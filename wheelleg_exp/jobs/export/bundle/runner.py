@@ -4,8 +4,8 @@
     policy.reset()                         # when an episode begins
     targets = policy.step({"base_ang_vel": ..., "base_quat": ..., "joint_pos": ..., "commands.<name>": ...})
 
-Call ``step`` every ``step_dt`` seconds. ``policy.json`` lists the sensor readings with width and unit (``readings``)
-and the joints in order (``joint_names``). README.md explains the remaining keys. ``python runner.py`` compares the
+Call ``step`` every ``step_dt`` seconds. In ``policy.json``, ``readings`` lists the width and unit of each sensor
+reading, and ``joint_names`` the joint order. README.md explains the remaining keys. ``python runner.py`` compares the
 actions of this program with actions recorded in the training's simulation. ``python runner.py --onnx`` checks
 ``policy.onnx``, with the package onnxruntime or onnx.
 """
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 F = np.float32
-LARGEST = 2.0**64  # A sensor reading above 2**64 counts as inf; sums of smaller readings cannot overflow.
+LARGEST = 2.0**64  # Sensor readings above 2**64 are rejected, because their float32 sums could overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
@@ -36,7 +36,7 @@ ACTIVATIONS: dict[str, Callable[..., Any]] = {
 
 
 def array(values: Any, missing: float = 0.0) -> np.ndarray:
-    """Return numbers from JSON as a float32 array, with the number ``missing`` in place of each null."""
+    """Convert a JSON list of numbers to a float32 array; replace each null by ``missing``."""
     return np.array([missing if value is None else value for value in values], F)
 
 
@@ -165,7 +165,7 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next sensor readings fill all histories, and wheel angles count from these readings."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # ``zero`` is a wheel's angle at the reset minus its default angle.
+        self.zero = np.zeros(len(self.default))  # ``zero`` contains wheel angles at the reset minus default angles.
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
@@ -174,9 +174,9 @@ class Policy:
     def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Return targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of the J joints, (J,) each.
 
-        ``readings`` maps the names of sensor readings and commands to their current values. The sensor reading
-        ``base_quat`` (w, x, y, z) can replace the reading ``projected_gravity``. A missing or non-finite sensor reading
-        raises ValueError and leaves the policy's state unchanged.
+        ``readings`` contains the current value of each sensor reading and each command, by name. A caller without
+        ``projected_gravity`` can give ``base_quat`` (w, x, y, z). If a sensor reading is missing or not finite,
+        ``step`` raises ValueError and does not change the policy's state.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
@@ -200,7 +200,7 @@ class Policy:
         pieces = []
         for terms, group in zip(self.groups, self.spec["observations"], strict=True):
             histories = [term.sample(found, self.action, self.steps) for term in terms]
-            if group["history_order"] == "time":  # Order an observation group's history by time step, not by term.
+            if group["history_order"] == "time":  # Order the history by step: all terms of step 1, then all of step 2.
                 pieces.append(np.concatenate(histories, axis=1).ravel())
             else:  # term by term
                 pieces += [history.ravel() for history in histories]
@@ -255,7 +255,7 @@ class Policy:
         return x
 
     def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the joint targets; joint positions change only the targets of relative actions (position plus action).
+        """Return the targets of all joints; only relative actions depend on ``joint_pos`` (target = position + action).
 
         Target positions of joints are clipped to the joint limits. Target velocities are clipped to the velocity limits
         of the motor drives.
@@ -271,11 +271,11 @@ class Policy:
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
-    """Return the largest differences between values that ``Policy`` computes and values recorded in ``check.npz``.
+    """Compare ``Policy`` with the recorded values in ``check.npz``; return the largest difference of each output.
 
-    In each step, observations are computed from recorded readings and actions, actions from recorded observations, and
-    joint targets from recorded actions. The entry ``actions_float32`` compares the computed actions with the actions
-    that torch computed in float32, where the order of a sum changes the rounding.
+    ``check`` computes observations from recorded readings, actions from recorded observations, and targets from
+    recorded actions. The entry ``actions_float32`` is the difference from actions that torch computed in float32, with
+    other rounding.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
@@ -300,7 +300,7 @@ def largest_difference(found: Any, wanted: np.ndarray) -> float:
 
 
 def main(words: list[str]) -> int:
-    """Print the differences that ``check`` returns; return 1 if a difference is above its tolerance, else 0."""
+    """Print the differences from ``check.npz``; return exit status 1 if a difference exceeds its tolerance, else 0."""
     limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
     status = 0
     for name, difference in check(onnx="--onnx" in words).items():
