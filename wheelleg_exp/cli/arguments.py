@@ -156,7 +156,7 @@ def source_document(source: Source) -> dict[str, Any]:
 def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
     """Run a command in one of several processes that torchrun has started, and return the exit status.
 
-    Rank 0 calls the function ``first``. All processes except rank 0 call the function ``other``, which prints nothing.
+    The process with rank 0 calls ``first``; all other processes call ``other``, which prints nothing.
     """
     from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 

@@ -14,8 +14,8 @@ from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-# The shell passes the command line up to the cursor in the environment variable that ``LINE`` names.
-# bash passes its word-splitting characters in the environment variable that ``BREAKS`` names.
+# The completion script passes the typed command line in the environment variable WHEELLEG_COMPLETE_LINE.
+# In bash, the completion script also passes the word-splitting characters, in WHEELLEG_COMPLETE_BREAKS.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
 _QUERY = "query"
 
@@ -71,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
 def answer(line: str, breaks: str | None = None) -> list[str]:
     """Return the completion candidates for the last word of a command line.
 
-    ``breaks`` contains the characters at which bash splits words, or is None for zsh and fish. bash expects only the
-    part of a candidate after its last word break, and a space after a complete candidate.
+    ``breaks`` contains bash's word-splitting characters, such as ``=`` and ``:``; None for zsh and fish. bash expects
+    only the part of a candidate after its last word break, and a space after a complete candidate.
     """
     words, word, quote = split(line)
     try:
@@ -134,7 +134,7 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, 
 
 
 def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resumed: bool) -> list[str]:
-    """Return the completion candidates for one command-line argument, based on the argument's name in the help."""
+    """Return the completion candidates for a command-line argument, depending on its name in the help, such as RUN."""
     name = str(action.metavar or action.dest)
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])

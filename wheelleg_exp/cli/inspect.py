@@ -50,7 +50,7 @@ class Result:
     document: Any
     show: Callable[[], None]
     status: int = EXIT_OK  # With several actions, ``wheelleg inspect`` returns the highest exit status.
-    notes: tuple[str, ...] = ()  # ``wheelleg inspect`` prints these notes on standard error.
+    notes: tuple[str, ...] = ()  # Notes for the user are printed on standard error.
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _selection_of(args: argparse.Namespace) -> Selection:
 
 
 def _other_recording(args: argparse.Namespace) -> Recording:
-    """Return the recording that ``--compare`` names; with ``--play``, the last ``wheelleg play`` recording of a run."""
+    """Open the recording given in ``--compare``; with ``--play``, a run means its last ``wheelleg play`` recording."""
     from wheelleg_exp.inspection.recording_target import find_target, names_a_run
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -368,7 +368,7 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
 
 
 def _readable(inspected: Inspected) -> Path:
-    """Read a recording to detect damage, which rerun's viewer does not explain, and return the recording's path."""
+    """Return the path of a recording; read the file first, because rerun's viewer does not explain a damaged file."""
     return Path(inspected.recording.path)
 
 
@@ -376,7 +376,7 @@ def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:
     return Result({"path": str(path), **facts}, lambda: print(f"wrote {path}{text}"))
 
 
-_ROWS = ("env", "iteration", "begin", "end")  # These options of ``wheelleg inspect`` select rows of a recording.
+_ROWS = ("env", "iteration", "begin", "end")  # Names of the command-line options that select rows of a recording.
 # The action 'web' runs last, because the web server runs until the user stops the command.
 ACTIONS = (
     Action("repair", _repair, ("output",)),

@@ -157,7 +157,7 @@ def _pipelines(args: argparse.Namespace) -> Listed:
     for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
             phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
-        except WheellegError as error:  # For a broken pipeline config, ``wheelleg train`` reports the whole error.
+        except WheellegError as error:  # Print only the first line; ``wheelleg train`` prints the whole error.
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
     for index in pipelines_below(_runs_folder(args.root)):
@@ -205,7 +205,7 @@ def _runs(args: argparse.Namespace) -> Listed:
 
 
 def _short(keys: Sequence[str]) -> list[str]:
-    """Shorten dotted config keys to their last parts, so that no short key equals another key or a column title."""
+    """Shorten keys such as ``env.rewards.alive.weight`` to ``weight`` or, if ambiguous, to ``alive.weight``."""
     taken = {"id", "status", *LISTED}
 
     def name(key: str, parts: int) -> str:
@@ -228,7 +228,7 @@ def _sweeps(args: argparse.Namespace) -> Listed:
 
 
 def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
-    """Return a run or sweep as a JSON document; the value null means that a damaged file lacks the value."""
+    """Return a run or sweep as a mapping for JSON; a value is null if a damaged file does not contain it."""
     return {**asdict(summary), "started": None if summary.started == _NEVER else utc_text(summary.started)}
 
 
@@ -277,7 +277,7 @@ def _survived(played: Mapping[str, Any]) -> str | None:
 
 
 def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
-    """Return an evaluation's protocol, and the survival rate of the first test, as text such as ``walk 100.0%``."""
+    """Return the name of an evaluation protocol and the survival rate in its first test, such as ``walk 100.0%``."""
     metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
     if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
         return None

@@ -77,7 +77,7 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
 
 
 def _opened(args: argparse.Namespace) -> RunDirectory:
-    """Return the run to resume; first make MKL use the matrix kernels that the run used before the interruption."""
+    """Open the run to resume, and make MKL use the same matrix kernels as before the interruption."""
     from wheelleg_exp.machine import keep_kernels
     from wheelleg_exp.run.run_directory import RunDirectory
 

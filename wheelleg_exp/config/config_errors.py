@@ -20,13 +20,13 @@ class Mistakes(ConfigError):
 
 
 class UnknownName(ConfigError):
-    """A config value refers to the config key ``named``, which does not exist."""
+    """A config value, such as the interpolation ``${env.x}``, refers to a missing config key, ``named``."""
 
     named: str
 
 
 class AbsentKey(ConfigError):
-    """An override names a config key that does not exist."""
+    """An override sets or deletes a config key that does not exist."""
 
 
 def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where: str | None = None) -> ConfigError:
@@ -37,7 +37,7 @@ def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where
 
 
 def join(errors: Sequence[ConfigError]) -> ConfigError:
-    """Join ``errors`` to one ConfigError that lists them; a single error is returned unchanged."""
+    """Combine ``errors`` into one ConfigError with one line per error; return a single error unchanged."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)
 
 

@@ -31,7 +31,7 @@ _RSL_CLASS = "class_name"
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
-# These classes of rsl_rl.extensions read the sections of ``agent.algorithm`` that have no `class_name`.
+# Classes of rsl_rl.extensions read the config sections ``rnd_cfg`` and ``symmetry_cfg`` of ``agent.algorithm``.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
 # rsl_rl reads the following config keys, although no constructor of rsl_rl has parameters with these names.
 _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
@@ -54,7 +54,7 @@ class Slot:
     """
 
     annotation: Any = Any
-    # Use a default factory, because `inspect.signature` treats the default value Parameter.empty as a missing default.
+    # A plain default ``Parameter.empty`` would look like a missing default to `inspect.signature`.
     default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
@@ -72,7 +72,7 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     element = None if above is None else _element(above, keys[-1])
     if element is None:
         return None
-    # A manager term does not inherit the description of its config section.
+    # A term such as ``env.rewards.alive`` must not inherit the description of ``env.rewards``.
     inherited = "" if section_of(keys) is not None else element.meaning
     return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 
@@ -116,12 +116,12 @@ def term_keys(keys: Keys) -> Keys | None:
 
 
 def named_section(section: str | None, name: str) -> str | None:
-    """Return the config section that a term's parameter refers to, such as ``commands`` for ``command_name``."""
+    """Return the config section of the term that a parameter names, such as ``commands`` for ``command_name``."""
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
 def target_of(node: Any) -> Callable[..., Any] | None:
-    """Return the function or class that a config node's target names; None without a target that can be imported."""
+    """Import the function or class in the ``_target_`` of a config node; return None without a valid ``_target_``."""
     name = node.get(TARGET) if isinstance(node, Mapping) else None
     try:
         return resolve_target(str(name), "") if name is not None else None
@@ -174,7 +174,7 @@ def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspec
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """For a parameter whose default is an object, return the types and default values of the object's attributes."""
+    """Return the types and values of the attributes of a parameter's default object, such as ``SceneEntityCfg()``."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
         return {}
@@ -205,7 +205,7 @@ def extension_of(keys: Keys) -> Any | None:
 
 
 def class_packages() -> tuple[str, ...]:
-    """Return the packages whose classes the config section ``agent`` can name."""
+    """Return the packages that contain the classes allowed in the config section ``agent``."""
     return ("rsl_rl", "wheelleg_exp.rl", *term_binding.allowed_packages())
 
 
@@ -221,7 +221,7 @@ def rsl_class(name: Any) -> Any:
 
 
 def _element(above: Slot, key: str) -> Slot | None:
-    """Return the element type of the mapping or list that ``above`` describes; None if ``above`` describes neither."""
+    """Return the element type of a config key's list or mapping; None if the key has a different type."""
     element = dataclasses.replace(above, default=REQUIRED)
     for annotation in options_in(above.annotation):
         origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)

@@ -1,7 +1,7 @@
 """Define the fixed part of the composed config: its keys, their types, and their ranges.
 
-The keys of a config section are the fields of the dataclass that reads the section. The annotation of a dataclass field
-defines the type and the range of the config value (``constraints``).
+The keys of a config section are the fields of the dataclass that reads the section. The annotation of a field, such as
+``seed: Seed``, defines the type and the range of the config value.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Check:
-    """The section ``check`` with the reason for each silenced physics rule; null cancels a parent config's reason."""
+    """``check.silence`` maps each silenced lint rule to the reason; null restores a silenced rule."""
 
     silence: dict[str, str | None] = field(default_factory=dict)
 
@@ -127,7 +127,7 @@ PHYSICS_RULES: tuple[str, ...] = (
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether a dataclass in ``OPTIONS``, not the dataclass ``root``, defines the keys of a config section."""
+    """Return whether ``OPTIONS``, instead of the dataclass ``root``, defines the keys of a config section."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 

@@ -129,7 +129,7 @@ def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
 class DefaultsEntry:
     """One ``key: value`` of a file's defaults list, such as ``override /reward@env.rewards: [alive]``."""
 
-    key: str  # ``key`` is the config group's name without the words `override` and `optional`.
+    key: str  # The config group, such as ``/reward@env.rewards``, without the words `override` and `optional`.
     value: Any
     override: bool
     line: int
@@ -155,7 +155,7 @@ def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
 
 
 def self_before_others(file: Path) -> bool:
-    """Return whether entries after ``_self_`` in a file's defaults list overwrite the values of the file."""
+    """Return whether a file's defaults list has entries after ``_self_``, which overwrite the file's own values."""
     items = defaults_items(file)
     names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
     return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")

@@ -38,7 +38,7 @@ _ENVS, _SECONDS = 32, 2.0
 def random_rewards(composed: Composed) -> Mapping[str, float]:
     """Return each reward term's mean reward per second under standard normal actions, by name.
 
-    ``random_rewards`` simulates 32 environments for two seconds, and requires that ``composed`` has no config errors.
+    ``random_rewards`` simulates 32 environments for two seconds, so ``composed`` must be a valid config.
     """
     config = copy.deepcopy(composed.config)
     config["env"]["num_envs"] = _ENVS
@@ -168,13 +168,13 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
     if model.actuator_forcelimited[index]:
         limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
     bias = model.actuator_biasprm[index]
-    if model.actuator_ctrllimited[index] and not bias.any():  # The control of a MuJoCo motor (no bias) is a torque.
+    if model.actuator_ctrllimited[index] and not bias.any():  # Without bias, an actuator's torque is gain · control.
         gain = gear * float(model.actuator_gainprm[index, 0])
         limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# The most urgent lint rules are first, because their findings can make findings of later rules wrong.
+# Rules about basic errors are first: with wrong masses, for example, findings about drives are wrong, too.
 OF_ROBOT = (
     "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
     "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",
@@ -236,7 +236,7 @@ def diagnose_file(source: Path) -> Diagnosis:
 
 
 def diagnose_task(composed: Composed) -> Diagnosis:
-    """Diagnose a task's robot, its start pose, and its drives. The task's config ``composed`` must have no errors."""
+    """Diagnose a task's robot, its start pose, and its drives. ``composed`` must be valid."""
     report = examine(composed)
     case = replace(report.case, trial=random_rewards(composed))
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]

@@ -47,7 +47,7 @@ class PhysicsReport:
 
     @property
     def unused(self) -> list[str]:
-        """The lint rules that the config silences in ``check.silence``, although these rules report no finding."""
+        """The lint rules in ``check.silence`` that report no finding, so that silencing them has no effect."""
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 

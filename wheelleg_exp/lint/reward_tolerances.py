@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad, 6 degrees
-SHARE = 0.1  # A reward term's tolerance is 10 % of the robot's height, speed, or effort limit, or of the command.
-ACTION = 0.5  # The tolerance of a reward term for changes of the policy's raw actions is 0.5.
+SHARE = 0.1  # An acceptable error is 10 % of, for example, the robot's height or the commanded velocity.
+ACTION = 0.5  # An acceptable error of the policy's raw action is 0.5.
 
 TRACKING = {
     "rewards.track_lin_vel_xy_exp": "lin",
@@ -25,11 +25,11 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 
 @dataclass(frozen=True)
 class Contribution:
-    """The value of one reward term for an acceptable error of the robot, ``tolerance``, such as a tilt of 0.1 rad.
+    """The output of a reward term for a robot with an acceptable error (``tolerance``), such as a tilt of 0.1 rad.
 
-    ``value`` is the unweighted value of the reward term for an acceptable error of the robot; None if unknown. ``cost``
-    is the absolute change of the reward term's unweighted value from no error to an acceptable error. If ``once`` is
-    true, the reward is given once per episode instead of at each control step.
+    ``value`` is the term's output, without its weight, for a robot with an acceptable error; None if unknown. ``cost``
+    is the absolute difference between ``value`` and the term's output for a robot without error. If ``once`` is true,
+    the reward is given once per episode instead of at each control step.
     """
 
     term: TermView
@@ -41,7 +41,7 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The unweighted value of the reward term for a robot without tracking or posture errors."""
+        """The output of the reward term, without its weight, for a robot without tracking and posture errors."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
@@ -102,7 +102,7 @@ def command_size(case: Case, term: TermView) -> float:
 
 
 def _body_height(case: Case) -> float:
-    """Return the standing height, m, but at least 1 cm, because the base of an arm can be on the ground."""
+    """Return the robot's standing height in m, but at least 0.01 m, because an arm's base can be on the ground."""
     return max(case.facts.standing_height, 0.01)
 
 
@@ -150,7 +150,7 @@ def _travel(case: Case, term: TermView) -> tuple[str, float]:
     return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 
-# ``_KERNELS`` maps reward terms with the value exp(-error² / std²) to functions that compute their tolerances.
+# For reward terms of the form exp(-error² / std²), ``_KERNELS`` contains functions that return an acceptable error².
 _KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.base_height_exp": _height,
     "rewards.flat_orientation_exp": _tilt,

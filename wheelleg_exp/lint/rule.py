@@ -35,11 +35,11 @@ class TermView:
 
 @dataclass(frozen=True)
 class Case:
-    """A config without mistakes, and the robot of the config.
+    """The input of a lint rule: a valid config and the robot of this config.
 
-    ``robot`` contains the robot's compiled MuJoCo model. ``robot`` is None if only the robot's measured properties
-    ``facts`` are known. ``trial`` maps each reward term to the mean reward per second in a simulation with random
-    actions; None if no simulation ran.
+    ``robot`` is the robot's compiled MuJoCo model, or None if only its measured properties ``facts`` are known.
+    ``trial`` maps each reward term to the mean reward per second in a simulation with random actions; None if no
+    simulation ran.
     """
 
     config: Mapping[str, Any]
@@ -80,7 +80,7 @@ class Case:
         return math.ceil(round(self.episode_s / self.step_dt, 9))
 
     def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
-        """Yield the terms of a config section; with ``kinds``, only terms whose function or class is in ``kinds``."""
+        """Yield the terms of a config section; ``kinds`` restricts them to functions such as ``rewards.is_alive``."""
         for found, path, node in term_nodes(self.config):
             if found != section:
                 continue
@@ -105,7 +105,7 @@ class Case:
 
 
 def kind_of(target: str, path: str) -> str:
-    """Return the module and name of a function or class, without ``wheelleg_exp.mdp`` and its inner modules."""
+    """Return a short name of a function or class, such as ``rewards.is_alive`` for a term in ``wheelleg_exp.mdp``."""
     found = resolve_target(target, path)
     module, name = inspect.unwrap(found).__module__, getattr(found, "__qualname__", "")
     if module.startswith(_LIBRARY):
@@ -123,8 +123,8 @@ class Finding:
     """One implausible number in a config, with the problem and what to do.
 
     ``figures`` contains numbers that describe the problem, by name and in SI units. ``advice`` contains alternative
-    fixes. Each fix maps config keys to new values that solve the problem. ``where`` is the file and line, or the
-    override, that set the config key.
+    fixes, each a mapping from config keys to new values. ``where`` is the file and line, or the override, that set the
+    config key.
     """
 
     key: str
@@ -141,7 +141,7 @@ class Finding:
         return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
 
 
-# A lint rule takes a ``Case`` and, optionally, the compiled robot; without a compiled robot, the rule is skipped.
+# A lint rule is a function of a ``Case``, or of a ``Case`` and a ``CompiledRobot``.
 RuleFunction = Callable[..., Iterator[Finding]]
 
 
@@ -166,11 +166,11 @@ RULES: dict[str, Rule] = {}
 
 
 def rule(function: RuleFunction) -> RuleFunction:
-    """Register a function as a lint rule; ``check.silence`` uses the name of the function."""
+    """Register a function as a lint rule, which a config can silence by its name in ``check.silence``."""
     name = function.__name__
     if name not in PHYSICS_RULES:
         raise ValueError(f"the lint rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
-    text = inspect.getdoc(function) or name.replace("_", " ")  # Python's option -OO removes docstrings.
+    text = inspect.getdoc(function) or name.replace("_", " ")  # Under `python -OO`, functions have no docstrings.
     takes_robot = len(inspect.signature(function).parameters) == 2
     RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function, takes_robot)
     return function
@@ -186,22 +186,22 @@ def listed(names: Sequence[str], most: int = 4) -> str:
 
 
 def at_least(value: float, digits: int = DIGITS) -> float:
-    """Return the smallest number with ``digits`` digits that is not below ``value``."""
+    """Round ``value`` up to ``digits`` significant digits."""
     return float(_rounded(value, digits, ROUND_CEILING))
 
 
 def at_most(value: float, digits: int = DIGITS) -> float:
-    """Return the largest number with ``digits`` digits that is not above ``value``."""
+    """Round ``value`` down to ``digits`` significant digits."""
     return float(_rounded(value, digits, ROUND_FLOOR))
 
 
 def above(value: float, digits: int = DIGITS) -> float:
-    """Return a number with ``digits`` digits that is slightly above ``value``."""
+    """Return the next number above ``value`` with ``digits`` significant digits."""
     return float(_rounded(value, digits, ROUND_FLOOR) + _last_place(value, digits))
 
 
 def below(value: float, digits: int = DIGITS) -> float:
-    """Return a number with ``digits`` digits that is slightly below ``value``."""
+    """Return the next number below ``value`` with ``digits`` significant digits."""
     return float(_rounded(value, digits, ROUND_CEILING) - _last_place(value, digits))
 
 

@@ -100,8 +100,8 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
     """The wheel drives are too weak or too slow to balance a robot on one axle.
 
     Wheels catch a lean of 0.1 rad only if the wheels accelerate with 0.1 g, which needs a force of a tenth of the
-    weight. If the robot's centre of mass is h above the axle, and its tilt grows as exp(p·t), the wheels' rims must be
-    faster than 0.1 rad · h · p. Source: the inverted pendulum on wheels.
+    weight. The wheels' rims must be faster than 0.1 rad · h · p, for a centre of mass at the height h and a tilt that
+    grows as exp(p·t). Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -155,7 +155,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        # ``shifts`` has each joint's target at an action of 0 minus the joint's default position, rad.
+        # ``shifts`` maps each joint to its position target for a zero action, minus its default position, rad.
         shifts: dict[str, float] = {}
         for term in case.terms("actions", "actions.JointPositionAction"):
             if not term.node.get("use_default_offset", True):
@@ -196,7 +196,7 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
         name, joint, drive, _ = _worst(joints, lambda j, d: (d.damping * dt + d.stiffness * dt**2) / j.effective)
         a, b = drive.damping * dt / joint.effective, drive.stiffness * dt**2 / joint.effective
         explicit = drive.explicit or integrator not in _IMPLICIT
-        if math.isnan(b):  # The gains of an actuator network are NaN.
+        if math.isnan(b):  # A drive that is a neural network has the gains NaN.
             continue
         if (a < 2.0 and b < 4.0 - 2.0 * a) if explicit else b < 4.0 + 2.0 * a:
             continue
@@ -213,9 +213,8 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
 def control_rate(case: Case) -> Iterator[Finding]:
     """The control rate is too low to balance the robot.
 
-    The tilt of a pendulum that falls at the rate p grows by the factor e in the time 1/p. A sampled controller acts one
-    and a half control steps late on average. If a robot's tilt grows at the rate p, about five control steps should fit
-    into the time 1/p, because controllers act with a delay. Source: Åström, "Limitations on control system
+    A sampled controller acts one and a half control steps late on average. At least five control steps should fit into
+    the time in which a falling robot's tilt grows by the factor e. Source: Åström, "Limitations on control system
     performance", 2000, on delay with an unstable pole.
     """
     balance = case.facts.balance

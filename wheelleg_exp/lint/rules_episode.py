@@ -20,16 +20,15 @@ _SCALES = ("events.reset_joints_by_scale",)
 _CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
 _MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
-# In a config, only ``resampling_time_range`` and ``restitution_range`` may have equal lower and upper ends.
+# The ranges ``resampling_time_range`` and ``restitution_range`` may have equal lower and upper bounds.
 _FIXED = ("resampling_time_range", "restitution_range")
 
 
 @rule
 def noop_joint_reset(case: Case) -> Iterator[Finding]:
-    """A reset event scales a default joint position or velocity of zero.
+    """A reset event has no effect, because it multiplies a default joint position or velocity of 0 by a factor.
 
-    The reset event multiplies a joint's default by a random factor, so a default of 0 stays 0. Source: Isaac Lab 2.3.2,
-    ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
+    Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
     """
     for term in case.terms("events", *_SCALES):
         joints = case.joints(term.node)
@@ -81,7 +80,7 @@ def _has_width(value: Any) -> bool:
 
 @rule
 def event_never_fires(case: Case) -> Iterator[Finding]:
-    """The interval of an interval event is longer than an episode.
+    """An event of mode ``interval`` never happens, because its interval is longer than an episode.
 
     Every reset draws a new interval for the event, so an interval that is longer than an episode never ends. Source:
     Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
@@ -104,10 +103,10 @@ def event_never_fires(case: Case) -> Iterator[Finding]:
 
 @rule
 def cumulative_randomisation(case: Case) -> Iterator[Finding]:
-    """The centre of mass drifts away, because an event adds each random offset to the previous offset.
+    """A link's centre of mass drifts away, because a repeated event adds a new random offset each time.
 
-    The sum of n uniform offsets from a range of half-width d has a standard deviation of d sqrt(n / 3). Source: Isaac
-    Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
+    After n random offsets, each uniform in ±d, the centre of mass has a standard deviation of d sqrt(n / 3). Source:
+    Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
     """
     for term in case.terms("events", *_CUMULATIVE):
         if term.node.get("mode") not in _REPEATED:
@@ -139,7 +138,7 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
             yield Finding(key, message, hint, {"low": low, "high": high}, ({key: [0.0, 0.0]},))
 
 
-_MARGIN = 1.2  # A good policy survives pushes up to 1.2 times the limit of the inverted-pendulum model.
+_MARGIN = 1.2  # A good policy survives pushes that are 20 % stronger than the inverted-pendulum model predicts.
 _WEAK = 0.2  # A push below 20 % of the largest push that the wheels can catch is too weak to test a policy.
 _LEAN = math.radians(10.0)
 _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
@@ -153,8 +152,8 @@ def push_size(case: Case) -> Iterator[Finding]:
     inverted pendulum. The wheels' acceleration is limited by their friction or by the torque of their drives. Every
     robot falls after a push far above the largest push that the wheels can catch. Pushes below a fifth of the largest
     push that the wheels can catch do not test the policy. Pushes along the robot's own y axis are not checked, because
-    wheels cannot catch sideways pushes. Pushes along the world's y axis are checked, because a robot that has turned
-    can roll along this axis. Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
+    wheels cannot catch sideways pushes. Pushes along the world's y axis are checked, because a robot that has turned by
+    90° can roll in this direction. Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
@@ -183,8 +182,8 @@ def push_size(case: Case) -> Iterator[Finding]:
 def wrench_size(case: Case) -> Iterator[Finding]:
     """A permanent random force or torque tilts the robot too far.
 
-    A force F at the body tilts a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
-    episode. Source: statics of the inverted pendulum.
+    A constant force F tilts a balancing robot by atan(F / weight); a constant torque T tilts it by asin(T / (m g h)).
+    Source: statics of the inverted pendulum.
     """
     balance = case.facts.balance
     if balance is None:
@@ -356,7 +355,7 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # The lint rule spawn_height reports a depth of the default pose.
+        start = -case.facts.clearance  # The rule ``spawn_height`` reports a default pose inside the ground.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)

@@ -39,11 +39,11 @@ def action_scale(case: Case) -> Iterator[Finding]:
                 hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
                 advice = () if scale is None else ({key: scale},)
                 yield Finding(key, f"'{name}': {message}", hint, figures, advice)
-                break  # Report only one joint of each action term.
+                break  # Report only the first bad joint of an action term.
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return a message about a bad action scale, a hint (empty if another scale helps), and a dictionary of numbers."""
+    """Return the message, hint (empty if a new scale helps), and numbers for a bad action scale, or None."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -72,7 +72,7 @@ def _room(joint: Joint) -> float:
 
 
 def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
-    """Return the action scale, nearest to the current scale ``unit``, that fits all joints of a term, or None."""
+    """Return an action scale near the current scale ``unit`` that suits all joints of a term; None if there is none."""
     smallest, largest_one = 0.0, math.inf
     for joint in joints:
         if joint.drive is None:
@@ -91,11 +91,10 @@ def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> floa
 
 @rule
 def action_clip_never_acts(case: Case) -> Iterator[Finding]:
-    """The bounds of an action's target are outside the range of the joint or drive.
+    """The bounds ``clip`` of an action have no effect, because the joint or the drive has narrower limits.
 
-    The parameter ``clip`` of an action bounds the joint's target in rad or rad/s, not the raw action. Bounds of a
-    target beyond the joint's limits or the drive's speed have no effect. Source: Isaac Lab 2.3.2,
-    ``isaaclab/envs/mdp/actions/joint_actions.py``: scale, offset, then clip.
+    The parameter ``clip`` of an action bounds the joint's target in rad or rad/s, not the raw action. Source: Isaac Lab
+    2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``: scale, offset, then clip.
     """
     for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
         joints = case.joints(term.node)
@@ -179,10 +178,10 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or much smaller than 1.
 
-    The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation
-    component should be between 0.01 and 10; this value follows from the robot's limits and the config's ranges. The
-    rule ``observation_scale`` skips observations that only networks with input normalisation receive. Source:
-    Andrychowicz and others (2021, "What matters in on-policy reinforcement learning?") recommend input normalisation.
+    The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation,
+    computed from the robot's limits and the config, should be between 0.01 and 10. An observation is not checked if all
+    networks that receive it normalise their inputs. Source: Andrychowicz and others (2021, "What matters in on-policy
+    reinforcement learning?") recommend input normalisation.
     """
     for term in case.terms("observations"):
         group = term.path.split(".")[2]

@@ -16,10 +16,7 @@ _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
 
 def still_score(speed: float, std: float) -> float:
-    """Return the mean of exp(-c²/std²) over commands c uniform in ±speed: the reward of standing still.
-
-    The mean of exp(-v²/std²) over v in ±V is sqrt(pi)/2 · erf(V/std) · std/V.
-    """
+    """Return the mean of exp(-c²/std²) over commands c uniform in ±speed: the reward of standing still."""
     return 1.0 if speed == 0.0 else math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
 
 
@@ -27,9 +24,9 @@ def still_score(speed: float, std: float) -> float:
 def tracking_std(case: Case) -> Iterator[Finding]:
     """A tracking reward is so tolerant that a robot earns most of it without following the command.
 
-    For nonzero commands uniform in ±V, a robot that stands still earns the share sqrt(pi)/2 · erf(V/std) · std/V of the
-    reward exp(-error²/std²). If all commands are zero, a robot that drifts with a wheel action of 1 must earn less than
-    half of the tracking reward. Source: the integral of exp(-error²/std²) over the commands.
+    If commands are uniform in ±V, a robot at rest earns on average sqrt(pi)/2 · erf(V/std) · std/V of the reward
+    exp(-error²/std²). If all commands are zero, a robot that drifts with a wheel action of 1 must earn less than half
+    of the tracking reward. Source: the integral of exp(-error²/std²) over the commands.
     """
     for term in tolerances.tracked(case):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
@@ -40,7 +37,7 @@ def tracking_std(case: Case) -> Iterator[Finding]:
 
 @rule
 def reward_outweighs(case: Case) -> Iterator[Finding]:
-    """Under random actions, as at the start of training, one negative reward is larger than all positive rewards.
+    """With random actions, as at the start of training, one penalty is far larger than all positive rewards.
 
     The policy first learns to avoid the largest negative reward, for example by a fall that ends the episode. Only
     `wheelleg doctor task=…` simulates random actions. Source: the mean of each term over two seconds of standard normal
@@ -77,7 +74,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
 
 def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
     kind = tolerances.TRACKING[term.kind]
-    # ``drift`` is the robot's speed at a wheel action of 1, m/s, or a tenth of its top speed without wheel actions.
+    # ``drift`` is the robot's speed (m/s) at a wheel action of 1; without wheel actions, a tenth of its top speed.
     drift = 0.1 * case.facts.top_speed
     for action in case.terms("actions", "actions.JointVelocityAction"):
         scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
@@ -104,7 +101,7 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
 
 @rule
 def reward_too_small(case: Case) -> Iterator[Finding]:
-    """An error equal to the tolerance of a reward term costs almost no reward.
+    """A robot loses almost no reward for an error such as a tilt of 0.1 rad.
 
     Reward weights are multiplied by the control time step, so the size of a weight alone is meaningless. If an
     acceptable error costs less than 1 % of a perfect robot's reward, the noise of the return hides the cost. Source:
@@ -139,9 +136,9 @@ def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
 def falling_pays(case: Case) -> Iterator[Finding]:
     """The robot earns more if it falls than if it continues the episode.
 
-    The value of continuing an episode is the total reward of a robot with small, acceptable errors. Rewards are summed
-    over the episode or over the discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an episode is
-    worth less than a failure, the policy learns to fall. Source: the return of PPO, Schulman et al. 2017.
+    Continuing an episode is worth the sum of the rewards that a robot with small, acceptable errors receives. Rewards
+    are summed over the episode or over the discount's horizon 1/(1 - gamma), whichever is shorter. If continuing an
+    episode is worth less than a failure, the policy learns to fall. Source: the return of PPO, Schulman et al. 2017.
     """
     found = tolerances.contributions(case)
     living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
@@ -166,7 +163,7 @@ def horizon_steps(case: Case) -> float:
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # Comparisons tolerate relative rounding errors of 1e-9, because 1 - gamma is not exact.
+_DUST = 1e-9  # Relative tolerance of comparisons, because 1 - gamma has rounding errors.
 _FALLS = 5.0  # The discount horizon must be at least five time constants of a robot's fall.
 _EARLY = 0.25  # At most 25 % of a policy's averaged weights should come from the first training iterations.
 
@@ -189,7 +186,7 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
 
 @rule
 def discount_horizon(case: Case) -> Iterator[Finding]:
-    """The discount's horizon 1/(1 - gamma) is longer than an episode, or shorter than the fall of a robot.
+    """The discount horizon 1/(1 - gamma) is longer than an episode, or shorter than the time in which a robot falls.
 
     The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
     longer than the episode, the agent optimises rewards that it cannot receive. If the discount's horizon is shorter
@@ -217,7 +214,7 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
 
 
 def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
-    """Recommend the gamma 1 - ``share``, or longer episodes if an episode is shorter than a robot's fall."""
+    """Recommend ``gamma`` = 1 - ``share``; if episodes are shorter than a robot's fall, recommend longer episodes."""
     if case.episode_s < fall:
         return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
@@ -226,19 +223,19 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 
 @rule
 def late_average(case: Case) -> Iterator[Finding]:
-    """The mean of the policy's weights depends too much on the start of the training.
+    """The averaged policy weights depend too much on the first training iterations.
 
     Up to training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
     After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
-    With ``average_iterations`` = n, the first n of i training iterations have the share (1 - 1/n)^(i - n) in the
-    averaged policy weights. Source: the weights of an exponential mean.
+    After i training iterations with ``average_iterations`` = n, the first n have the share (1 - 1/n)^(i - n) of the
+    average. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        # After i iterations, the first n have the share (1 - 1/n)^(i - n) <= exp(1 - i/n) of the averaged weights.
+        # Solve exp(1 - i/n) = ``_EARLY`` for n, because (1 - 1/n)^(i - n) is at most exp(1 - i/n).
         few = int(iterations / (1.0 - math.log(_EARLY)))
         enough = few if few > 1 else 0  # 0 disables the mean
         message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"
@@ -248,10 +245,10 @@ def late_average(case: Case) -> Iterator[Finding]:
 
 @rule
 def noop_curriculum(case: Case) -> Iterator[Finding]:
-    """A curriculum term changes a reward's weight to the current weight, or only after the end of the training.
+    """A curriculum term has no effect: it keeps a reward's weight, or changes the weight after the end of training.
 
-    The reward's weight changes when the number of control steps exceeds ``num_steps``. A training has max_iterations ·
-    num_steps_per_env control steps. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
+    The curriculum term changes the weight of a reward after ``num_steps`` control steps. A training has max_iterations
+    · num_steps_per_env control steps. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
     """
     total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
     for term in case.terms("curriculum", "curriculums.modify_reward_weight"):

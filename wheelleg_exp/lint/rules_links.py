@@ -17,25 +17,24 @@ from wheelleg_exp.asset.conversion_report import Finding as Record
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 
 _ASSET = "env.robot.asset"
-_ASSUMED = 0.05  # At most 5 % of a robot's mass may be assumed, because the robot file lacks the masses of some links.
+_ASSUMED = 0.05  # Links without a mass in the robot file may have at most 5 % of the robot's mass.
 _WEIGHTY = 0.01  # The lint rules ignore the inertia of a link with less than 1 % of the robot's mass.
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
 _MOST = 4
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
-    """Return the conversion report's findings of one kind, or no findings if the robot was not converted."""
+    """Return the findings of one kind, such as ``impossible_inertia``, in the robot's conversion report."""
     report = case.robot.report if case.robot is not None else None
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
 
 @rule
 def missing_files(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Files of colliders or USD layers of the robot are missing or damaged.
+    """Mesh files of the robot's colliders, or USD layers of the robot file, are missing or damaged.
 
     The mesh file of a collider can be missing, damaged, or a Git LFS pointer. If the collider of a wheel is missing,
-    the wheel's joint counts as a leg joint. ``missing_files`` ignores missing files of visuals. Source: the conversion
-    report.
+    the wheel's joint counts as a leg joint. Missing meshes of visuals are ignored. Source: the conversion report.
     """
     report = robot.report
     if report is None:
@@ -84,7 +83,7 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 @rule
 def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The MuJoCo model lacks or changes colliders, limits, couplings, or drives of the robot file.
+    """The conversion to MuJoCo lost or changed colliders, joint limits, couplings, or drives of the robot file.
 
     Source: the warnings of the conversion report.
     """
@@ -120,7 +119,7 @@ def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def link_masses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The mass or inertia of a link is implausible for the size of the link.
+    """A link's mass or inertia does not fit the link's size.
 
     A real link's radius of gyration sqrt(I / m) is 1/30 to 1 of the link's extent, measured from its centre of mass.
     The centre of mass of a real link is inside or near the link's shapes. No principal moment of inertia exceeds the
@@ -215,7 +214,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size
     strong, fast = [], []
-    # Report limits of 0 in the robot file only without a task config, because a task config sets its own limits.
+    # A task config sets its own effort and velocity limits, so ignore limits of 0 in the robot file.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
     weak = [name for name in facts.joints if name in written and "task" not in case.config]

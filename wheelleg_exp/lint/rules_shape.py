@@ -31,8 +31,8 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
     The contact force pushes overlapping bodies apart in the first physics step. MuJoCo disables contacts between two
     bodies that a joint connects. Two connected bodies are reported only if the bodies overlap by more than a quarter of
-    the robot's size. Source: MuJoCo's collision detection at the default pose, which checks the pairs of bodies that
-    MuJoCo's documentation lists (Computation, "Collision detection").
+    the robot's size. Source: MuJoCo documentation, Computation, "Collision detection", on the pairs of bodies that can
+    collide.
     """
     size = robot.anatomy.size
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
@@ -57,9 +57,8 @@ def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A contact termination watches a body that touches the ground or a second body at the start of an episode.
 
-    ``contact_at_start`` reports a body that is as low as the robot's lowest point, or that overlaps a second body.
-    Contact at the start ends every episode at once, so the policy learns nothing. Source: kinematics of the default
-    pose.
+    A body has contact if it is as low as the robot's lowest point, or overlaps another body of the robot. Contact at
+    the start ends every episode at once, so the policy learns nothing. Source: kinematics of the default pose.
     """
     size = robot.anatomy.size
     lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
@@ -83,9 +82,9 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A wheel is not round, differs from the opposite wheel, is blocked by joint limits, or has no collider.
 
-    ``wheels_that_do_not_roll`` measures the radius of a wheel's colliders at all angles around the axle. A box or a
-    coarse hull does not roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support
-    function of the colliders.
+    A wheel is round if its colliders have the same radius at all angles around the axle. A box or a coarse hull does
+    not roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support function of the
+    colliders.
     """
     for name, why in robot.anatomy.near.items():
         yield Finding(
@@ -111,7 +110,7 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
 
 
 _LEAN = 0.06  # A policy easily corrects a lean of the robot of at most 0.06 rad.
-_DRAWN_LEAN = 0.17  # The pose in a robot file may lean by up to 0.17 rad, because nobody chose this pose for balance.
+_DRAWN_LEAN = 0.17  # Robot files often have unbalanced poses, so a pose from a file may lean by up to 0.17 rad.
 _EDGE = 0.1  # The centre of mass must be at least 10 % of the wheelbase behind the front and before the rear contacts.
 _AHEAD = math.radians(5)
 _TOE = math.radians(2)
@@ -122,9 +121,9 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, the robot's centre of mass is not above the wheels.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. If the legs can balance the robot, the rule
-    ``balance_pose`` suggests their joint positions, computed from the kinematics. On several axles, the robot's centre
-    of mass must be between the outermost wheel contacts. Source: statics of the inverted pendulum.
+    of mass of the parts above the axle is vertically above the axle. If the robot can balance with other joint
+    positions of the legs, the hint contains these positions. On several axles, the robot's centre of mass must be
+    between the outermost wheel contacts. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
         return
@@ -217,11 +216,11 @@ _MOST = 4  # findings of one kind
 
 @rule
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """Equal joint speeds roll left and right wheels in opposite directions, but move left and right legs alike.
+    """Left and right wheel joints have opposite signs, although left and right leg joints have equal signs.
 
-    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. The
-    rule ``wheel_senses`` does not report a robot whose file reverses the axes of all leg and wheel joints on one side.
-    Source: kinematics, v = omega x r.
+    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. A
+    robot file that reverses both leg and wheel axes on one side is consistent, and is not reported. Source: kinematics,
+    v = omega x r.
     """
     anatomy = robot.drawn
     signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
@@ -237,7 +236,7 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
-    """Return whether the lowest pitch joints of two legs have axes of equal sign; true if a leg has no pitch joint."""
+    """Return whether equal positions turn the lowest pitch joints of both legs alike; true without pitch joints."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
@@ -348,7 +347,7 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
 
 @rule
 def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The default pose of a symmetric robot is asymmetric.
+    """The default joint positions of a symmetric robot's left and right legs are not mirror images.
 
     The usual cause of an asymmetric pose is a sign: mirrored joints with opposite axes need positions of opposite
     signs. Source: the mirrored axes of the joints.

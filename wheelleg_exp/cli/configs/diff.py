@@ -71,7 +71,7 @@ def _row(change: PlacedChange) -> tuple[str, ...]:
 
 
 def _brief(value: Any) -> str:
-    """Return a config value as one line of text; shorten a term to the name of its function and its weight or mode."""
+    """Return a config value as short text; a manager term becomes a text such as ``is_alive weight=1.0``."""
     if isinstance(value, Mapping) and "_target_" in value:
         fields = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
         return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *fields])

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     for line in text(explained):
         blanks = len(line) - len(line.lstrip())
-        # Indent the following lines of a wrapped text to the column at which the text starts after its label.
+        # Align the later lines of a wrapped text with the start of the text in the first line, behind the label.
         print(hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line)
     return EXIT_OK
 
@@ -126,7 +126,7 @@ def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return example overrides that select a different option of a Hydra config group than the present option."""
+    """Return example overrides that change the options of a config group, such as ``+reward@env.rewards=alive``."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]

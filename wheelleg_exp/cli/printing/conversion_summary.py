@@ -153,7 +153,7 @@ def _shortly(value: Any) -> str:
 
 
 def _left_out(report: Report) -> None:
-    # Print the items of the robot file that were not converted; harmless items are at the end of the list.
+    # Print what the converter left out of the robot file, and sort harmless omissions to the end.
     harmless = ("declared without", "a note of", "there is one")
     items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
     if items:

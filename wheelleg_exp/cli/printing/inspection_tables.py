@@ -71,7 +71,7 @@ def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> Non
 
 
 def print_comparison(found: RecordingComparison, first: Recording, second: Recording, limit: int) -> None:
-    """Print how many entities are equal in two recordings, and the first time at which each recorded number differs."""
+    """Print how many Rerun entities of two recordings are equal, and when each recorded number first differs."""
     print(f"a: {shown(first.path.absolute())}\nb: {shown(second.path.absolute())}\n")
     if found.is_equal:
         print(f"equal to the last bit: {len(found.equal)} entities")
@@ -161,9 +161,9 @@ _NOTES = 3  # Print only the last 3 notes of a recording.
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
     """Print tables of a recording's contents and performance figures.
 
-    ``others`` contains the paths of all recordings of the run except the printed recording. The performance figures are
-    computed from the recorded rows that ``selection`` selects. ``status`` is the status of the training run that was
-    recorded, and None for a recording of ``wheelleg play``.
+    ``others`` contains the paths of all recordings of the run except the printed recording. The printed performance
+    figures are computed only from the recorded rows in ``selection``. ``status`` is the status of the training run that
+    was recorded, and None for a recording of ``wheelleg play``.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:
@@ -257,7 +257,7 @@ def _valued(value: float, word: str, step_dt: float | None) -> str:
 
 
 def _scope(summary: Summary, selection: Selection) -> str:
-    """Return a text that names the recorded frames from which performance figures were computed."""
+    """Return a text such as ``all 500 recorded frames``: the frames from which performance figures are computed."""
     frames = "{} of {} recorded frames".format(*summary.frames or (0, 0))
     if summary.sample is None:
         return frames if not selection.is_all else f"all {frames.split()[0]} recorded frames"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
-# These metrics ignore the first seconds of each episode, in which the robot settles.
+# Metrics such as the RMS pitch ignore the first seconds of each episode, in which the robot settles.
 _SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")
 
 _MOTION: Mapping[str, Callable[[float], str]] = {

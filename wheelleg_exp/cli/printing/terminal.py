@@ -23,7 +23,7 @@ class LastingStream:
     """A text stream to a pipe that ignores writes after the reading process has closed the pipe.
 
     ``losses`` contains exception types that ``write`` ignores, such as BrokenPipeError from a closed pipe. A ``styled``
-    stream writes escape sequences unchanged; a plain stream writes control characters as readable text.
+    stream writes ANSI colour codes unchanged; a plain stream writes control characters as readable text.
     """
 
     def __init__(self, stream: Any, *losses: type[OSError], styled: bool = False) -> None:
@@ -53,7 +53,7 @@ class LastingStream:
             self._redirect()
 
     def _redirect(self) -> None:
-        """Redirect a text stream to the null device, so that Python can flush the stream when the process ends."""
+        """Redirect the stream to the null device, so that Python's last flush raises no error."""
         with suppress(OSError, ValueError):
             descriptor = self._stream.fileno()
             null = os.open(os.devnull, os.O_WRONLY)
@@ -65,7 +65,7 @@ class LastingStream:
 
 
 def styled(stream: Any) -> Any:
-    """Return the variant of standard output or standard error that writes escape sequences of colours unchanged."""
+    """Return a variant of standard output or standard error that writes ANSI colour codes unchanged."""
     return stream.styled() if isinstance(stream, LastingStream) else stream
 
 
@@ -74,7 +74,7 @@ def lasting_streams() -> Iterator[None]:
     """Inside the ``with`` block, ignore all write errors on standard error, and a closed pipe on standard output.
 
     A closed terminal or a full disk must not stop a training, so errors of writes to standard error are ignored. On
-    standard output, which contains the result of the command, every write error except a closed pipe is raised.
+    standard output, every write error except a closed pipe is raised, because the command's result would be lost.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)
@@ -144,8 +144,8 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the terminal, with a hanging indent.
 
-    ``first`` is a label before the first line of ``text``, padded with spaces to ``indent`` characters. If the label
-    ``first`` is empty, the first line of ``text`` is not indented.
+    ``first`` is a label before the first line of ``text``, padded with spaces to ``indent`` characters. Without a
+    label, the first line of ``text`` is not indented.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""

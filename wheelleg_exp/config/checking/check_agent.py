@@ -18,7 +18,7 @@ from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
-# The values of these config keys are dotted names of classes or functions that rsl_rl imports and calls.
+# The values of ``class_name`` and ``data_augmentation_func`` name classes and functions that rsl_rl imports.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
 # ``RESOLVERS`` maps an rsl_rl parameter to the function of rsl_rl.utils that looks up the parameter's value.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
@@ -97,7 +97,7 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
         return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # The function _check_class_name reports an unknown class name.
+        return []  # Another check reports an unknown class name.
     errors = _check_parameters(path, node, found)
     # rsl_rl accepts an actor without an action distribution, but cannot train such an actor.
     is_actor = path in ("agent.actor", "agent.student")
@@ -141,7 +141,7 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
             errors.append(not_one_of(message, name, accepted, key=key))
         elif isinstance(value, Mapping) and "class_name" in value:
             errors += _check_constructor(key, value)
-        elif name not in PARAMETERS:  # The function parameter_errors checks rsl_rl parameters in the table PARAMETERS.
+        elif name not in PARAMETERS:  # The rsl_rl parameters in ``PARAMETERS`` are checked elsewhere.
             wrong = value_errors(key, value, accepted[name].annotation)
             words = known_words(name, value) if name in RESOLVERS and not wrong else None
             errors += wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]
@@ -157,7 +157,7 @@ def _takes_any(found: Any) -> bool:
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the names of activations or optimisers that rsl_rl accepts; None if rsl_rl accepts the name ``value``."""
+    """Return None if rsl_rl knows the activation or optimiser ``value``; otherwise return all names that it knows."""
     import rsl_rl.utils
 
     try:

@@ -80,13 +80,13 @@ def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[Conf
 
 
 def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find config files of terms that do not contain a term with the file's own name."""
+    """Find config files such as ``reward/alive.yaml`` that do not contain a term with the file's name (``alive``)."""
     wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
 def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find config files whose term has no ``_target_``, not even after Hydra has composed the whole config."""
+    """Find terms, such as rewards, that have a config file but no ``_target_`` in the composed config."""
     errors = []
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -152,9 +152,9 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """In each error about an unread key, name the defaults list or override that put a config file at this key.
+    """If Hydra put a config file at a key that no code reads, add to the error what selected the file.
 
-    Remove the error about a term's missing ``_target_`` if Hydra put the term's file at a key that no code reads.
+    If a term's file is at a wrong key, remove the additional error that the term has no ``_target_``.
     """
     astray: set[str] = set()
     for error in errors:
@@ -171,7 +171,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the config files that Hydra put at an unread key, if only these files set values at or below the key."""
+    """Return the config files at a key that no code reads; empty if other sources also set values at this key."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
@@ -193,8 +193,8 @@ def emptied_by(composed: Composed, key: str) -> str | None:
 def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
     """Find terms that are selected twice: by one defaults list, or by a config file and the file that it extends.
 
-    If Hydra merged a term's file a second time, the file would overwrite other settings of the term. If a config file
-    sets a term to null, a later defaults list can select the term again.
+    If Hydra merged a term's file again, the file would overwrite later settings of the term. If a config file sets a
+    term to null, a later defaults list can select the term again.
     """
     seen: dict[tuple[str, str], int] = {}
     errors = []
@@ -222,7 +222,7 @@ def _sets_null(file: MountedFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find a file's values that its defaults list overwrites, because ``_self_`` is not the last entry of this list.
+    """Find values of a config file that are lost because the file's defaults list names other files after ``_self_``.
 
     The primary config is skipped.
     """
@@ -242,9 +242,9 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find defaults lists whose order of terms differs from the order of the terms in the composed config.
+    """Find defaults lists that order terms, such as rewards, differently from the composed config.
 
-    The order of terms changes if a file sets a parameter of a term before Hydra merges the term's own file.
+    If a parameter of a term is set before the term's own file is merged, the term gets an earlier position.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:
@@ -270,7 +270,7 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return an error for each ignored setting of Hydra itself in a config file that is not the primary config."""
+    """Return an error for each Hydra setting that a config file sets without effect; skip the primary config."""
     errors = []
     for mounted in files:
         if mounted.config_path == primary:

@@ -24,7 +24,7 @@ ASSET_KEY = "env.robot.asset"
 
 @dataclass(frozen=True)
 class RobotNames:
-    """The names of a robot's joints and bodies, breadth first, which is the default order of the names."""
+    """The names of a robot's joints and bodies, in the order of a breadth-first search through the body tree."""
 
     joints: list[str]
     bodies: list[str]
@@ -117,7 +117,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
 
 
 def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tuple[list[str], list[ConfigError]]:
-    """Return the joint or body ``names`` that regular expressions match, and the mistakes in these expressions."""
+    """Return the joint or body ``names`` that match regular expressions, and errors such as a missing match."""
     listed = [expressions] if isinstance(expressions, str) else list(expressions)
     if not all(isinstance(expression, str) for expression in listed):
         return [], []  # A separate type check reports a regular expression that is not a string.
@@ -165,11 +165,11 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
 def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
     groups = config["env"]["robot"].get("actuators")
     if not isinstance(groups, Mapping):
-        return []  # A separate check reports a config section env.robot.actuators that is not a mapping.
+        return []  # Another check reports that env.robot.actuators is not a mapping.
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # The function _actuators reports a regular expression that matches no joint.
+        return []  # Another check reports a regular expression that matches no joint.
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):
@@ -191,7 +191,7 @@ def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) 
 
 
 def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[ConfigError]:
-    """Return the mistakes in a mapping from joint expressions to values, each with the key of the wrong expression."""
+    """Return the errors in a mapping from regular expressions for joint names to values."""
     keys = split_path(path)
     errors = [e for name in values for e in _match_error([str(name)], joints, dotted((*keys, str(name))), "joint")]
     return errors or _match_error([str(name) for name in values], joints, path, "joint")
@@ -217,7 +217,7 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
     try:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
-        return None  # The module check_terms reports a ``_target_`` that cannot be imported.
+        return None  # Another check reports a ``_target_`` that cannot be imported.
 
 
 def _names(
@@ -237,7 +237,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # The function check_robot reports a sensor's regular expression that matches no body.
+            continue  # Another check reports that a sensor's regular expression matches no body.
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":

@@ -22,7 +22,7 @@ from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# `_CLASSES` has the base class of a config section's terms; `_ARGUMENTS` has the first arguments of term functions.
+# For a config section, `_CLASSES` names the base class of the terms; `_ARGUMENTS` names their first arguments.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
@@ -153,7 +153,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in term parameters that name a term of a different section, such as ``command_name``."""
+    """Return an error for each parameter such as ``command_name`` whose value is not the name of an existing term."""
     errors: list[ConfigError] = []
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
@@ -178,9 +178,9 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # The function check_agent reports the unknown name of an observation group.
+        return []  # Another check reports an unknown observation group.
     if at(config, "agent.teacher") is not None:
-        used |= set(groups)  # A distillation config can contain observation groups that only the teacher's critic read.
+        used |= set(groups)  # Distillation may keep the critic's observation groups, which no network reads.
     unused = [
         ConfigError(
             f"no network reads the observation group '{name}'",

@@ -38,10 +38,11 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 
 @dataclass
 class Leniency:
-    """The mistakes that a ``TolerantLoader`` ignores while it composes a config.
+    """The parts of a config that a ``TolerantLoader`` ignores because they contain mistakes.
 
-    ``empty`` lists the config files whose content is ignored. ``unused`` lists the ``group@package`` of ``override``
-    entries that are ignored in defaults lists. ``failed`` is the last config file that raised an error while loading.
+    ``empty`` contains the names of config files that are treated as empty, such as ``reward/alive``. ``unused``
+    contains config groups, such as ``reward@env.rewards``, whose ``override`` entries are ignored. ``failed`` names the
+    last config file that Hydra could not load.
     """
 
     empty: set[str] = field(default_factory=set)
@@ -65,7 +66,7 @@ class _TolerantRepository(Repository):
             self._leniency.failed = config_path
             raise
         if result is not None and result.defaults_list:
-            # The name of a config group without a leading slash is relative to the folder of the config file.
+            # In a defaults list, a group name without a leading slash is relative to the folder of the config file.
             parent = config_path.rpartition("/")[0]
             result.defaults_list = [d for d in result.defaults_list if not self._is_unused(d, parent)]
         return result
@@ -79,7 +80,7 @@ class _TolerantRepository(Repository):
 
 
 class TolerantLoader(Loader):
-    """A Hydra config loader that ignores given broken files, and given ``override`` entries of defaults lists."""
+    """A Hydra config loader that can ignore config files and ``override`` entries that contain mistakes."""
 
     def __init__(self, config_dirs: Sequence[Path], leniency: Leniency) -> None:
         super().__init__(config_dirs)
@@ -89,7 +90,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Wrap the config repository that Hydra's loader created, because its search path is complete.
+        # Use all config folders of the repository that the parent class created, including ``hydra.searchpath``.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -103,7 +104,7 @@ def check(composed: Composed) -> list[ConfigError]:
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
     if misplaced:
-        # File content at a wrong config key causes many further errors, so return only the errors about such files.
+        # A config file at a wrong key causes many errors about other keys, so report only the wrong key of the file.
         return misplaced
     config = lists.without_strays(composed.config, files)
     errors = (
@@ -128,7 +129,7 @@ def check(composed: Composed) -> list[ConfigError]:
         if error.where is None and error.key is not None:
             emptied = lists.emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
             error.where = emptied or composed.provenance.where(error.key)
-        # The error for a missing config section names the task's file, because no line of a file sets the section.
+        # In the error for a missing config section, name the task's file, which should set the section.
         if error.where is None and isinstance(error, MissingValue):
             error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
         place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
@@ -137,10 +138,9 @@ def check(composed: Composed) -> list[ConfigError]:
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
-    """Remove errors that are only consequences of errors about keys that no code reads.
+    """Remove errors that follow from a misspelled key: ``wieght`` also causes the error that ``weight`` is missing.
 
-    If no code reads a key, the errors for its subkeys are removed. The error for a missing key is removed if an unread
-    key is a misspelling of the missing key. An error about a ``_target_`` in a forbidden package is never removed.
+    Errors about subkeys of a key that no code reads are removed, too, except for a ``_target_`` in a forbidden package.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -154,10 +154,10 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 
 
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
-    """Return whether an error can be a consequence of ``lost``, the config keys whose content is unknown.
+    """Return whether an invalid config file can be the cause of an error; ``lost`` lists the keys of the file.
 
-    An entry of ``lost`` with a leading dot, such as ``.alive``, matches a key ``alive`` at any depth of the config.
-    If every config key can be unknown (``"" in lost``), ``follows_from`` returns True for each AbsentKey error.
+    The entry ``.alive`` in ``lost``, with a leading dot, stands for ``alive`` in any config section. If ``lost``
+    contains an empty text, any key can be missing, so every ``AbsentKey`` error is a consequence.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -169,7 +169,7 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
-    """Return whether a config key is at or below one of ``places``; a place with a leading dot matches at any depth."""
+    """Return whether a config key equals one of ``places`` or is below it; ``.alive`` means ``alive`` at any depth."""
     return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
@@ -188,14 +188,14 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
 
 @dataclass(frozen=True)
 class _Asset:
-    """The keys of ``env.robot`` that select the robot file, from which joint and body names are read."""
+    """The keys of ``env.robot`` that are needed to read the robot's joint and body names."""
 
     asset: str
     base: Literal["auto", "floating", "fixed"] = "auto"
 
 
 def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
-    """Return every mistake in a config tree, without file and line; ``root`` is the top level's dataclass."""
+    """Return the mistakes in a config tree, without file and line; ``root`` is the dataclass of the top-level keys."""
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
         options = schema.options_of(path)
@@ -252,13 +252,13 @@ class _Search:
     primary: str
     folders: tuple[Path, ...]
     found: list[ConfigError] = field(default_factory=list)
-    # The list ``lost`` contains config keys whose values are unknown, because the file that sets these keys is invalid.
+    # Hydra could not determine the values of the config keys in ``lost``, because of an invalid file or value.
     lost: list[str] = field(default_factory=list)
     leniency: Leniency = field(default_factory=Leniency)
     loader: TolerantLoader | None = None
 
     def compose(self) -> Composed | None:
-        """Return the config without the overrides, files, and values that stop Hydra; None if the cause is unknown."""
+        """Compose the config without the parts that make Hydra fail; return None if Hydra still fails."""
         for _ in range(_MOST_ATTEMPTS):
             try:
                 return compose(self.overrides, primary=self.primary, config_dirs=self.folders, loader=self._make_loader)
@@ -280,7 +280,7 @@ class _Search:
             self.overrides = kept
             return True
         if blamed:
-            return False  # The shell split an override such as `key = value` into words, so no word is the override.
+            return False  # The shell splits `key = value` into three overrides, so the whole text is not in the list.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
@@ -294,12 +294,12 @@ class _Search:
             return False
         self.leniency.empty.add(path)
         self.lost += self._places(path)
-        if error.nearest:  # Ignore errors about the key of the config file whose name the user misspelled.
+        if error.nearest:  # If the user wrote ``aliv``, for example, do not report that ``alive`` is missing.
             self.lost.append(f".{error.nearest}")
         return True
 
     def _places(self, path: str) -> list[str]:
-        """Return the keys that a missing or invalid config file would set; an empty string means every key."""
+        """Return the config keys that a missing or invalid file would set; an empty string if it could set any key."""
         group, _, name = path.rpartition("/")
         if self.loader is None:
             return [""]
@@ -330,8 +330,8 @@ def find_mistakes(
 ) -> tuple[Composed | None, list[ConfigError]]:
     """Compose and check a config, and return the config (None if Hydra cannot compose it) and all mistakes.
 
-    ``find_mistakes`` ignores overrides and files that Hydra cannot compose, and checks the remaining config. Mistakes
-    that exist only because ``find_mistakes`` ignored an override or a config file are not returned.
+    ``find_mistakes`` ignores overrides and files that Hydra cannot compose, and checks the remaining config. Errors
+    that can follow from an ignored override or config file are not returned.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()

@@ -53,7 +53,7 @@ def is_unread(key: str) -> bool:
 
 
 def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigError:
-    """Return the error for one of Hydra's own settings; the error names the setting to use instead."""
+    """Return the error for a Hydra setting that this program ignores; the error names the setting to use instead."""
     instead = expected or _INSTEAD.get(_name(key), _ANY_SETTING)
     return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
 
@@ -82,8 +82,8 @@ class Composed:
     """A composed config.
 
     ``config`` is the resolved tree of plain mappings, without the terms that are null. ``raw`` is the read-only
-    OmegaConf tree with unresolved ``${...}`` and with the terms that are null. ``removed_terms`` contains the config
-    paths of the terms that are null. ``hydra`` is the node of the config tree with Hydra's own settings.
+    OmegaConf config with unresolved ``${...}``; it still contains terms that are null. ``removed_terms`` contains the
+    config paths of the terms that are null. ``hydra`` is the node of the config tree with Hydra's own settings.
     """
 
     config: dict[str, Any]
@@ -126,7 +126,7 @@ class Composed:
             raise
 
     def _place(self, error: WheellegError) -> None:
-        # A config section has no single file and line, because several files set the section's keys.
+        # Several files can set the keys of one config section, so an error about a section names no file.
         is_section = isinstance(self.config.get(error.key or ""), Mapping)
         if error.where is None and error.key is not None and not is_section:
             error.where = self.provenance.where(error.key)
@@ -261,7 +261,7 @@ def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
             del parent[keys[-1]]
         else:
             parent[keys[-1]] = override.value()
-    if overrides:  # Without overrides, return the recorded config tree unchanged.
+    if overrides:  # A recorded config without overrides keeps its terms that are null.
         drop_removed(changed)
     return changed
 
@@ -272,12 +272,11 @@ def require_read(
     read: Callable[[Mapping[str, Any]], Any],
     instead: Mapping[str, str],
 ) -> None:
-    """Raise ConfigError if an override sets a config key that the calling command does not read.
+    """Raise ConfigError if an override has no effect, because the calling command does not read its config key.
 
-    ``read`` is a function that returns those values of a config tree that the calling command uses. An override of a
-    config key that the calling command uses is valid, even if the override repeats the key's old value. ``instead``
-    maps a config key to the alternative that the error suggests for an override at or below this key. The error
-    suggests ``instead[""]`` if ``instead`` has no entry for the overridden config key.
+    The function ``read`` returns the values that the calling command uses from a config tree. An override of a config
+    key that the calling command uses is valid, even if the override repeats the key's old value. ``instead`` maps a
+    config key to the advice in the error about this key or its subkeys; ``instead[""]`` is for all other keys.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -301,7 +300,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """If a ConfigError in the ``with`` block names no file or override, add the override that set the invalid key."""
+    """If a ConfigError in the ``with`` block names no place, let it name the override that set the wrong key."""
     try:
         yield
     except ConfigError as error:

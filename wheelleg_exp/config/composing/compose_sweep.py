@@ -60,14 +60,14 @@ def _install_command(launcher: str) -> str | None:
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # find_spec raises ModuleNotFoundError if the parent package is not installed.
+    except ModuleNotFoundError:  # The parent package of ``module`` is not installed.
         return False
 
 
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # Hydra's option -m (multirun) adds this override.
+_MULTIRUN = "hydra.mode=MULTIRUN"  # The command-line option -m means the override ``hydra.mode=MULTIRUN``.
 
 Progress = Callable[[int, int], None]
 
@@ -90,9 +90,9 @@ class SweepJob:
 class Sweep:
     """The jobs of a sweep, in Hydra's order, and the Hydra launcher that starts the jobs.
 
-    ``n_jobs`` is the number of jobs that run at once, as joblib counts: -1 means one job per core, -2 one job less. For
-    a job queue, ``n_jobs`` is the number of submitted jobs. ``multirun`` is the config that Hydra composes for the
-    sweep as a whole.
+    ``n_jobs`` is the number of jobs that run at once, as joblib counts: -1 means one job per core, -2 one job less.
+    With a job queue such as Slurm, ``n_jobs`` is the number of all jobs of the sweep. ``multirun`` is the config that
+    Hydra composes for the sweep as a whole.
     """
 
     jobs: tuple[SweepJob, ...]
@@ -149,7 +149,7 @@ def compose_sweep(
         jobs = _expand(of_files + [o for o in accepted if o not in own])
         mistakes += [] if multirun is None else _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
-    # Report a wrong key of a sweep only once, although each swept value of the key causes a separate mistake.
+    # Report a mistake in a swept key once, not once for each job.
     if mistakes:
         raise_all(list({(m.key, m.message): m for m in reversed(mistakes)}.values())[::-1])
     if multirun is None:
@@ -217,11 +217,11 @@ def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig 
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # If Hydra cannot compose the sweep, the errors in the configs of its jobs explain the reason.
+        return None  # Checking each job's config later reports why Hydra could not compose the sweep.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:
-    """Compose Hydra's config of a sweep without the jobs' overrides, which can name keys of the swept tasks."""
+    """Compose Hydra's own settings of a sweep; leave out other overrides, whose keys may exist only in some jobs."""
     texts = [*(str(override.input_line) for override in own), _MULTIRUN]
     with hydra_globals():
         multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
@@ -260,7 +260,7 @@ def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
 
 
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:
-    """Return the overrides of each job of a sweep; an override with a single value is returned as typed."""
+    """Return a list of overrides for each job of a sweep, such as ``seed=1`` and ``seed=2`` for ``seed=1,2``."""
     fixed = [override for override in parsed if not override.is_sweep_override()]
     typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
     (jobs,) = BasicSweeper.split_arguments(list(parsed), None)

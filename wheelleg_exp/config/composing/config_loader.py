@@ -52,7 +52,7 @@ def _lines_of(file: Path) -> list[str]:
 
 
 def replaced_by(file: Path) -> tuple[str, int] | None:
-    """Return the config name in a file's ``# @replaces`` line, and the number of this line; None without this line."""
+    """Return the config that a file replaces by a line ``# @replaces reward/alive``, and the line's number."""
     for number, line in enumerate(_lines_of(file), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             return None
@@ -66,7 +66,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
     """Return the file to read for a config such as ``reward/alive``, if several folders contain a file of that name.
 
     A file with the line ``# @replaces reward/alive`` has priority over files of the same name in other config folders.
-    Raise ConfigError if a file would never be read, if two files replace one file, or if the replaced file is missing.
+    Raise ConfigError unless exactly one of ``files`` lacks a ``# @replaces`` line and at most one has a correct line.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -131,7 +131,7 @@ class LoadedFile:
 
 
 class Repository(CachingConfigRepository):
-    """A caching Hydra repository that stores the content of each file, and rejects mistakes that Hydra ignores."""
+    """A Hydra config repository that keeps each file's content, and raises errors for mistakes that Hydra ignores."""
 
     def __init__(self, delegate: IConfigRepository) -> None:
         super().__init__(delegate)
@@ -153,7 +153,7 @@ class Repository(CachingConfigRepository):
                     key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
                     expected = "one '# @package some.path' as the first line of the file"
                     raise ConfigError(
-                        "this '# @package' directive has no effect", key=key, where=where, expected=expected
+                        "the file's '# @package' line has no effect", key=key, where=where, expected=expected
                     )
                 content = OmegaConf.to_container(result.config, resolve=False)
                 # Copy each file's content, because Hydra changes the config objects while it composes the config.
@@ -221,7 +221,7 @@ def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Pat
 
 
 def _line_of_message(file: Path, message: str) -> int | None:
-    """Return the line of a file that contains a quoted part of an error message; None unless exactly one line does."""
+    """Find the line of a file that an error message quotes; None if the quoted text is not in exactly one line."""
     lines = _lines_of(file)
     for pair in re.findall(r"'([^']+)'|\"([^\"]+)\"", message):
         hits = [number for number, line in enumerate(lines, 1) if (pair[0] or pair[1]) in line]
@@ -231,7 +231,7 @@ def _line_of_message(file: Path, message: str) -> int | None:
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's config loader, extended to store the config files that the last call of ``load`` merged."""
+    """A Hydra config loader that keeps the defaults list of the last composed config in ``merged``."""
 
     repository_used: Repository
     merged: Sequence[ResultDefault]
@@ -240,7 +240,7 @@ class Loader(ConfigLoaderImpl):
         path = create_config_search_path(str(configs_dir()))
         schema = path.get_path().pop()
         for folder in map(config_folder, config_dirs):
-            join_folder(folder)  # Allow configs to call Python packages of the user project that contains ``folder``.
+            join_folder(folder)  # Configs can use Python code of the user project that contains the config folder.
             path.append("config-dir", f"file://{folder}")
         path.append(schema.provider, schema.path)
         super().__init__(path)
@@ -268,7 +268,7 @@ class Loader(ConfigLoaderImpl):
         return self.load_configuration(primary, list(overrides), RunMode.RUN, from_shell=False)
 
     def defaults(self, primary: str, parsed: Sequence[Override]) -> DefaultsList:
-        """Return Hydra's resolved defaults list of the last ``load``; the list names every file that was read."""
+        """Return the defaults list that Hydra computes from a primary config and overrides, with all selected files."""
         return create_defaults_list(self.repository_used, primary, list(parsed), prepend_hydra=True, skip_missing=False)
 
     def groups(self) -> list[str]:
@@ -306,7 +306,7 @@ def package_meant(file: Path) -> str | None:
 
 
 def usual_header(repository: Repository, group: str, without: Path | None = None) -> str | None:
-    """Return the config key that at least half of a group's files have in a ``# @package`` line; else None."""
+    """Return the config key in the ``# @package`` lines of at least half of a group's files, or None."""
     if group in _ALWAYS:
         return _ALWAYS[group]
     folders = [Path(s.path) / group for s in repository.get_sources() if s.scheme() == "file"]
@@ -320,8 +320,8 @@ def usual_header(repository: Repository, group: str, without: Path | None = None
 def missing_headers(repository: Repository, explicit: Collection[str]) -> list[ConfigError]:
     """Find config files whose ``# @package`` line is misspelled, or missing although most files of the group have one.
 
-    A file needs no ``# @package`` line if its config group is selected with a key, as in ``reward@env.rewards``.
-    ``explicit`` contains each config group selected as ``group@key``, such as ``reward`` in ``reward@env.rewards``.
+    A file that a defaults list selects as ``reward@env.rewards: alive`` needs no ``# @package`` line. ``explicit``
+    contains config groups that are selected with a key, such as ``reward`` in ``reward@env.rewards``.
     """
     misspelled, missing = [], []
     for config_path, loaded in repository.loaded.items():

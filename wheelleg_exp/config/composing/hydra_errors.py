@@ -28,11 +28,11 @@ _IN_FILE = re.compile(r"^In '?([^':]+)'?:")
 
 
 class NowhereMounted(ConfigError):
-    """A defaults list has an ``override`` entry for a config group from which no config file selects an option."""
+    """An ``override`` entry in a defaults list names a config group from which no defaults list selects an option."""
 
 
 def where_of(override: Override) -> str:
-    """Return the text for the field ``where`` of a ConfigError that an override caused."""
+    """Return the text that names an override in error messages, such as ``override seed=1``."""
     return f"override {override.input_line}"
 
 
@@ -166,7 +166,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # Find the config file whose defaults list selects an option of the config group ``key`` without ``override``.
+    # Find the defaults list that selects an option of the config group ``key`` without the word ``override``.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"
@@ -174,7 +174,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
 
 
 def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntry]]:
-    """Yield each entry of the loaded files' defaults lists with its file; skip the primary config."""
+    """Yield each config file, except the primary config, with each entry of its defaults list."""
     for path, loaded in repository.loaded.items():
         if "/" in path:
             yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))
@@ -196,7 +196,7 @@ _FORMS = "key=value, +key=value, ++key=value or ~key"
 
 
 class DoesNotMerge(ConfigError):
-    """A config file, named ``config_path``, cannot be merged into the config files that Hydra merged before."""
+    """Hydra cannot merge the config file ``config_path`` with the files before it in the defaults list."""
 
     config_path: str | None = None
 
@@ -242,7 +242,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
     try:
         TopologicalSorter(below).prepare()
     except CycleError as error:
-        # In the cycle of config files in graphlib's CycleError, each file's defaults list selects the previous file.
+        # ``CycleError`` lists a cycle of config files in reverse order: each file selects the file before it.
         path, other = error.args[1][1], error.args[1][0]
         file = used.loaded[path].file
         where = show_file(file, lookup.scalar_line(file, other.rpartition("/")[2]))
@@ -316,7 +316,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
-        # Copy the config, because Hydra can replace null by an empty mapping even if it rejects the override.
+        # Copy the config, because even a rejected override can change it: Hydra replaces null by an empty mapping.
         before = copy.deepcopy(cfg)
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
@@ -327,7 +327,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
 
 def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
     key, where = override.key_or_group, where_of(override)
-    # Suggest keys of the config section `hydra` only if the override sets a key of this section.
+    # Suggest Hydra's own settings only for an override of a Hydra setting.
     plain = OmegaConf.to_container(cfg, resolve=False)
     tree = plain if isinstance(plain, dict) else {}
     shown = {str(name): node for name, node in tree.items() if (name == "hydra") == override.is_hydra_override()}

@@ -1,7 +1,7 @@
 """Find the file or override that set each value and selected each config group of a composed config.
 
-The source of a config value is a file and line, or an override. If several files or overrides set one config value,
-the attribute ``Source.shadowed`` lists all of them except the last.
+The source of a config value is a file and line, or an override. If several files or overrides set one value,
+``Source.shadowed`` lists the earlier ones, which have no effect.
 """
 
 from __future__ import annotations
@@ -72,20 +72,20 @@ class Provenance(Mapping[str, Source]):
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return a source for each config value at or below ``path`` that an override removed."""
+        """Return a ``Source``, which names the override, for each removed config value at or below ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set the config key ``path``.
 
-        For a config section, return the file line or the override that set the section's first value. For a missing
-        config key, return the file line or the override that set the first value of the nearest parent section.
+        For a config section, return where the section's first value was set. For a missing key, return where the
+        nearest parent section was set.
         """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # The file and line of a top-level section such as `env` would not help a user to find a missing key.
+        # For a missing key such as `env.x`, the place of the whole section `env` would not help a user.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -94,7 +94,7 @@ class Provenance(Mapping[str, Source]):
 
 
 class _Replay:
-    """The sources of all config values, found by applying files and overrides of a composition one by one."""
+    """Repeat the composition of a config, file by file, and store which file or override sets each value."""
 
     def __init__(self) -> None:
         self.sources: dict[Keys, Source] = {}
@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # Store the remaining keys of the deleted key's section consecutively, in their old order.
+            # After a key was deleted, keep the other keys of its section next to each other and in their order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put the new source at the dictionary position of the first replaced source, to preserve the terms' order."""
+        """Replace old sources by a new source, and keep the order of the config's keys."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -143,7 +143,7 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # Omit an empty mapping from the replaced values, because later config files only add keys to the mapping.
+    # An empty mapping does not count as a replaced value, because a later config file only adds keys to it.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
@@ -151,7 +151,7 @@ def _history(source: Source) -> tuple[Source, ...]:
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
     """Return the source of each config value, found by applying the config files and overrides one by one.
 
-    ``loader`` must have composed the config from the primary config ``primary`` and the overrides ``parsed``.
+    Before this call, ``loader`` must have composed the config ``primary`` with the overrides ``parsed``.
     """
     replay = _Replay()
     with hydra_globals():
@@ -213,12 +213,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Mount:
-    """A config group whose selected options Hydra puts below one key of the config tree.
+    """A config group, such as ``reward``, and the config key, such as ``env.rewards``, that receives its options.
 
     ``name`` is the name of the config group in an override, such as ``reward@env.rewards``. ``package`` is the config
     key below which the group's options are; an empty key means the top of the config. ``choices`` lists all selections
-    of options from the config group, in the order in which Hydra applies them. A selection replaces all earlier
-    selections of options; only an override with ``+`` adds an option to them.
+    of options from the config group, in the order in which Hydra applies them. Each selection of options replaces the
+    earlier one; an override with ``+`` adds an option instead.
     """
 
     name: str
@@ -242,7 +242,7 @@ def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
 
 def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
-    # If a task extends a second task, Hydra merges the files of both tasks, but the user selected only the first task.
+    # If one task extends another, ignore the file of the extended task, because the user did not select it.
     mine = [d for d in loader.merged if _group_of(d.config_path) == group and _group_of(d.parent) != group]
     if package:
         mine = [d for d in mine if d.package == package]
@@ -282,7 +282,7 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the config group whose options Hydra puts at the config key ``keys`` or at its nearest parent key."""
+    """Return the config group that can set a key, such as ``reward@env.rewards`` for ``env.rewards.alive``."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 

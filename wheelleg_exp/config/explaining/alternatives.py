@@ -37,8 +37,8 @@ from wheelleg_exp.user_exceptions import importing
 class Alternatives:
     """The values that a config key accepts, described as text and, if possible, as a list.
 
-    ``values`` is empty if the valid values of the config key cannot be listed. ``keys`` contains the default value of
-    each subkey that the config does not set.
+    ``values`` is empty if the valid values of the config key cannot be listed. ``keys`` lists each optional subkey that
+    the config does not set, with the subkey's default value.
     """
 
     type: str = ""
@@ -68,7 +68,7 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
 
 
 def _plain(value: Any) -> Any:
-    """Return a default value in a form that YAML can contain. An object becomes its text."""
+    """Convert a default value to a type that YAML supports, or to a text."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, (tuple, list)):
@@ -114,7 +114,7 @@ def siblings(target: str) -> list[str]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # Return no alternatives; `wheelleg check` reports the failed import.
+    except Exception:  # The command `wheelleg check` reports a failed import.
         return []
     return [
         f"{module_name}.{name}"
@@ -127,14 +127,14 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # The cache contains at most 32 composed configs.
+_MOST_VIEWS = 32  # The cache for shell completion contains at most 32 composed configs.
 
 
 @dataclass(frozen=True)
 class CompletionView:
     """The parts of a composed config that shell completion needs.
 
-    ``mounts[name]`` is True if the config group ``name``, such as ``reward@env.rewards``, accepts a list of options.
+    ``mounts`` maps each config group to whether it accepts a list of options, as in ``reward@env.rewards=[alive]``.
     """
 
     tree: dict[str, Any]
@@ -155,7 +155,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    from wheelleg_exp.config.composing.compose import compose  # Hydra is slow to import, so read a cached config first.
+    from wheelleg_exp.config.composing.compose import compose  # Without a cached config, import Hydra, which is slow.
 
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
@@ -182,7 +182,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
 def complete_override(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the overrides that start with ``word``; ``before`` contains the complete overrides of the command line."""
+    """Complete the unfinished override ``word``; ``before`` contains the earlier overrides of the command line."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -236,7 +236,7 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
 
 
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
-    """Return the valid values of a config key, as far as these are known without importing the code of a term."""
+    """Suggest values for a config key without importing the function or class of a ``_target_``."""
     now = at(tree, path)
     inside_target = any(TARGET in section_at(tree, path[:n]) for n in range(1, len(path)))
     slot = None if inside_target or path[:1] == ("agent",) else key_slots.slot(tree, path)

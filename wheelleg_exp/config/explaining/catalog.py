@@ -41,7 +41,8 @@ LIBRARY = "wheelleg_exp.mdp"
 class LibraryTerm:
     """A reward function, an event, or another manager term from ``wheelleg_exp.mdp`` that a config can use.
 
-    ``help`` is the first line of the term's docstring. ``limits`` contains types and bounds of parameters as text.
+    ``help`` is the first line of the term's docstring. ``limits`` maps each bounded parameter to a text with its type
+    and bounds.
     """
 
     section: str
@@ -79,7 +80,7 @@ def is_term(section: str, found: Any) -> bool:
         return issubclass(found, TermBase) and not abstract
     if not inspect.isfunction(found) or next(iter(inspect.signature(found).parameters), None) != INJECTED[0]:
         return False
-    # In wheelleg_exp.mdp.events, a function that does not return None is a helper function, not an event term.
+    # An event function returns None; other functions in ``wheelleg_exp.mdp.events`` are helper functions.
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
@@ -167,13 +168,13 @@ def _entry(loader: Loader, group: str, name: str) -> Entry:
     found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
     try:
         file = chosen_file(config_path, found)
-    except ConfigError:  # Hydra reports an invalid config file when it composes the config.
+    except ConfigError:  # A list of options also contains files that Hydra cannot compose.
         file = found[0]
     except IndexError:
         file = Path(f"{config_path}.yaml")
     try:
         text = file_text(file)
-    except (OSError, UnicodeDecodeError):  # Hydra reports an invalid config file when it composes the config.
+    except (OSError, UnicodeDecodeError):
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
 
@@ -183,7 +184,7 @@ def _target(text: str, name: str) -> str | None:
     try:
         yaml_tree(text)
         content: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except Exception:  # Hydra reports an invalid config file when it composes the config.
+    except Exception:  # A file that is not valid YAML has no ``_target_``.
         return None
     nodes = content if isinstance(content, dict) else {}
     node = nodes.get(name) or (next(iter(nodes.values())) if len(nodes) == 1 else None)

@@ -63,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# ``ORDER`` maps a config section to the effect of a different order of the section's terms.
+# If two configs order the terms of a section differently, ``ORDER`` states the consequence for this section.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -76,10 +76,10 @@ _LAID_OUT = ("actions", "observations")
 
 @dataclass(frozen=True)
 class Side:
-    """One of two configs that are compared.
+    """One of the two configs that the function ``compare`` compares.
 
-    ``where`` returns the file and line, or the override, that set or removed a config key. ``facts`` contains facts
-    about a run's code, versions, and hardware.
+    ``where`` is a function that maps a config key to the file and line, or the override, that set or removed the key.
+    ``facts`` describes a run's source code, package versions, and hardware.
     """
 
     label: str
@@ -92,8 +92,8 @@ class Side:
 class PlacedChange:
     """One difference between two configs, with the file and line or override of both values.
 
-    ``is_term`` is true if a whole term or the order of terms differs. ``note`` explains the effect of the two configs'
-    difference, such as ``they run in this order``.
+    ``is_term`` is true for a change of a whole term, such as a reward, or of the order of terms. ``note`` states what
+    the difference changes, such as ``the layout of the action vector differs``.
     """
 
     kind: Kind
@@ -141,7 +141,7 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = key_slots.section_of((*keys, "any"))  # ``section`` is None if the config key ``keys`` contains no terms.
+    section = key_slots.section_of((*keys, "any"))
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
@@ -162,7 +162,7 @@ def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:
-    """Return whether a config key is missing in one of two configs and has its default value in the second config."""
+    """Return whether one of two configs sets a key to its default value and the other config does not set the key."""
     parents = [at(side.tree, keys[:-1]) for side in (a, b)]
     if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False
@@ -185,7 +185,7 @@ def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
-            continue  # Two git commits with the same tree contain the same files, so report no change.
+            continue  # Commits with the same git tree contain the same source code, so report no difference.
         for name in one:
             if name in other and not same(one[name], other[name]):
                 yield FactChange(section, name, one[name], other[name])

@@ -25,7 +25,8 @@ class Meaning:
     """A text that describes a config key, and the place of this text.
 
     ``where`` is the file and line of a comment, or the dotted name of a function or class with a docstring. ``about``
-    is ``key`` if the text describes the config key, and ``term`` if it describes the key's term.
+    is ``key`` if the text describes the config key itself, and ``term`` if it describes the whole term, such as a
+    reward.
     """
 
     text: str
@@ -57,7 +58,7 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # Read the comment at the key of a YAML mapping, because ``source.line`` can be a line inside the mapping.
+            # If the key has subkeys, ``source.line`` can be the line of a subkey, so find the line of the key itself.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -80,7 +81,7 @@ def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None
             return
 
 
-# ``_REFERENCE`` matches OmegaConf interpolations of config keys, but not resolver calls, which contain a colon.
+# Match interpolations of config keys, such as ``${env.num_envs}``, but no resolver calls, such as ``${oc.env:HOME}``.
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 
@@ -98,7 +99,7 @@ class Reference:
 
 
 def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
-    """Yield the config keys that an interpolation refers to, directly or through further interpolations."""
+    """Yield all config keys that an interpolation such as ``${env.decimation}`` needs, directly or indirectly."""
     tree = composed.raw_tree
     waiting, seen = [(keys, raw)], {keys}
     while waiting:
@@ -126,8 +127,8 @@ class Explanation:
 
     ``value`` is the resolved value of a config key, or the default if the config does not set the key. ``raw`` is the
     unresolved config value if it contains ``${...}``, otherwise None. ``sources`` lists the files and overrides that
-    set the config key, oldest first. The last of the ``sources`` can be an override that removed the config key.
-    ``mount`` is the config group whose options can set ``key``; ``option`` is one option's name, such as ``alive``.
+    set or removed the config key, oldest first. ``mount`` is the config group, such as ``reward``, that can set
+    ``key``; ``option`` is one of its options.
     """
 
     key: str
@@ -249,13 +250,13 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
     named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
-    # If a config mapping accepts any key, treat a key that is similar to an existing key as misspelled.
+    # In a section that accepts any key, a key that is similar to an existing key is probably a spelling mistake.
     near = nearest_name(keys[-1], map(str, parent)) if isinstance(parent, Mapping) and not named else None
     has_place = bool(named) or (isinstance(parent, Mapping) and near is None)
     if slot is None or not has_place or key_slots.section_of(keys) is not None:
         return None
     if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
-        return None  # The key's parent section does not exist, so the keys allowed in this section are unknown.
+        return None  # The config lacks the section that would contain the key.
     notes = meanings(tree, keys, slot, ())
     default = None if slot.default is key_slots.REQUIRED else slot.default
     return Explanation(

@@ -112,7 +112,7 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 def comment_at(file: Path, line: int) -> str:
     """Return the comment on a line of a YAML file, or the equally indented comment directly above this line.
 
-    A comment at the top of a YAML file describes the whole file; it describes a key only if the file has one key.
+    A comment at the top of a YAML file belongs to the first key only if the file has no other top-level keys.
     """
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):
@@ -122,7 +122,7 @@ def comment_at(file: Path, line: int) -> str:
 
 
 def file_comment(file: Path) -> str:
-    """Return the comment below a file's ``# @package`` line, which describes a config section; empty if missing."""
+    """Return the comment directly below a file's ``# @package`` line, or an empty text without such a comment."""
     lines = _lines(file, file.stat().st_mtime_ns)
     if not lines or not _PACKAGE.match(lines[0]):
         return ""
@@ -181,7 +181,7 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# If a line starts with a unit, a word such as "of" must follow, because the N in "N environments" is no newton.
+# The next word shows whether a first letter is a unit: N means newton in "N of thrust", but not in "N environments".
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")

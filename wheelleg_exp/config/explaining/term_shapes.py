@@ -18,8 +18,8 @@ class TermShape:
     """One term of an observation group, or one action term.
 
     ``width`` is the number of components of the observation or action in one control step. ``history`` is the number of
-    control steps that an observation term stores; 0 means only the present control step. ``start`` and ``stop`` are the
-    term's indices in the joined observation or action vector; None if they are not contiguous. ``joints`` contains the
+    control steps that an observation term stores; 0 means only the present control step. ``start`` and ``stop`` bound
+    the term's slice of the observation or action vector; None if the term has no single slice. ``joints`` contains the
     joints that an action term drives, in the order of the term's components.
     """
 
@@ -37,7 +37,7 @@ class TermShape:
 class GroupShape:
     """The layout of an observation group, or of all actions.
 
-    ``shape`` is the shape of one environment's observation or action vector; None if the terms are not joined.
+    ``shape`` is the shape of the concatenated terms without the environment dimension; None without concatenation.
     """
 
     terms: tuple[TermShape, ...]
