@@ -44,7 +44,7 @@ def register_with_gymnasium() -> None:
 
 
 class _GymnasiumFinder(MetaPathFinder):
-    """Find Gymnasium with Python's standard finders, and register the tasks' environments after the import."""
+    """Register the tasks' environments as soon as Gymnasium is imported."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         del path, target

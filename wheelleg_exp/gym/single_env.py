@@ -52,7 +52,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
         """Start an episode; the argument ``seed`` restarts all random streams.
 
-        In the returned info, ``log`` is the managers' log of the previous episode, if one exists.
+        If an episode was played before, the returned info contains its logged values as ``log``.
         """
         super().reset(seed=seed, options=options)
         has_run = bool(self.env.episode_length_buf[0])

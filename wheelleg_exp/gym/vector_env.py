@@ -78,7 +78,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     ) -> tuple[Arrays, dict[str, Any]]:
         """Reset all environments, or only the environments in the mask ``options["reset_mask"]`` (N,).
 
-        A seed restarts the random streams of all environments.
+        The argument ``seed`` restarts the random streams of all environments.
         """
         if isinstance(seed, list):
             raise ValueError("the environments share their random streams: give one seed, not a list")

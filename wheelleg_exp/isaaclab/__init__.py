@@ -3,8 +3,8 @@
 For example, the line ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers
 import SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
-Only this package's modules ``managers`` and ``utils`` contain code. All modules except ``managers`` and ``utils`` only
-give Isaac Lab's names to existing classes. At import, modules without code are created from the dict ``_MODULES``.
+Only the modules ``managers`` and ``utils`` have source files. All other modules, such as ``envs``, only give Isaac
+Lab's names to existing classes, and are created from ``_MODULES`` when this package is imported.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
-# ``_MODULES`` maps the path of each ``isaaclab`` module to a docstring and members; packages precede their modules.
+# Each entry of ``_MODULES`` defines a module: path, docstring, and members. A package precedes its modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "actuators": ("The actuator models.", _public(actuators)),
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),

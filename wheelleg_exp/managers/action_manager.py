@@ -34,7 +34,7 @@ class ActionTerm(TermBase):
 
     @property
     def applies_once(self) -> bool:
-        """Whether ``apply_actions`` sets equal joint targets at all physics steps of one control step."""
+        """Whether joint targets are constant during a control step, so that one call of ``apply_actions`` is enough."""
         return False
 
     def process_actions(self, actions: torch.Tensor) -> None:
@@ -127,7 +127,7 @@ class ActionManager(ManagerBase):
             start += term.action_dim
 
     def apply_action(self) -> None:
-        """Set the joint targets before a physics step; constant targets are set only once per control step."""
+        """Set the joint targets of every action term before a physics step."""
         for name, term in self._action_terms.items():
             if not (self._is_new or name in self._delays or not term.applies_once):
                 continue

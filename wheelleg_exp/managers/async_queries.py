@@ -10,13 +10,9 @@ import torch
 
 
 class AsyncMaskQuery:
-    """Copies boolean masks (N,) of ended and failed environments to the host, and computes the indices there.
+    """Converts GPU masks (N,) of ended and failed environments to indices, with asynchronous copies to the host.
 
-    The method ``start`` starts to copy the masks of ended and failed environments to the host, and the GPU continues to
-    work. The method ``ids`` waits for the masks that ``start`` copies, and returns indices of ended and failed
-    environments. On a GPU, ``ids(also_failed, at_once=False)`` does not wait for the mask ``also_failed`` of further
-    failed environments. The method ``late`` waits until the host has the mask ``also_failed`` of failed environments,
-    and returns their indices.
+    In each control step, call the methods in the order ``start``, ``ids``, ``late``.
 
     Attributes:
         answers_late: whether the method ``ids`` can omit failed environments, which ``late`` returns; True on a GPU.
@@ -44,7 +40,7 @@ class AsyncMaskQuery:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
         ``also_failed`` (N,) is a mask of further failed environments, such as environments with NaN rewards. On a GPU
-        with ``at_once=False``, ``ids`` omits the environments of ``also_failed`` and does not wait for this mask.
+        with ``at_once=False``, the result omits environments in ``also_failed``, to avoid a wait for the GPU.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -56,7 +52,7 @@ class AsyncMaskQuery:
         return self._to_device(ended, 0), self._to_device(failed, 1)
 
     def late(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the failed environments that ``ids`` omitted, and the omitted ones whose episode continues."""
+        """Return two index tensors of the failed environments that ``ids`` omitted: all, and those not in ``ended``."""
         if not self._has_late:
             return self._none, self._none
         self._wait(1)
@@ -84,26 +80,25 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    For a GPU tensor, ``is_finite`` usually returns True without waiting for the GPU. If the GPU tensor is NaN or inf, a
-    later call of ``is_finite`` detects this. After ``is_finite`` has detected NaN or inf, the next 256 calls of
-    ``is_finite`` wait for the GPU.
+    For a GPU tensor, ``is_finite`` usually returns True without waiting for the GPU. After a later call has detected
+    NaN or inf, the next 256 calls of ``is_finite`` wait for the GPU and return exact results.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
     watch = _watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)  # Check this number for NaN and inf later, to avoid a wait for the GPU.
+    watch.note(total)
     return True
 
 
 def note(total: torch.Tensor) -> None:
-    """Include a number (a GPU tensor with one element) in the check for NaN and inf that ``is_calm`` reports."""
+    """Add a GPU tensor with one element to the tensors that ``is_calm`` checks for NaN and inf."""
     _watch(total.device).note(total)
 
 
 def is_calm(device: torch.device) -> bool:
-    """Return whether all checks whose results have arrived from the GPU found finite numbers; False on a CPU."""
+    """Return True if no recent check has found NaN or inf on a GPU; always return False for a CPU."""
     return device.type == "cuda" and _watch(device).is_calm()
 
 
@@ -115,7 +110,7 @@ def _watch(device: torch.device) -> _FiniteWatch:
 
 
 class _FiniteWatch:
-    """Detects NaN and inf on a GPU; the host reads the latest asynchronous copy of the result."""
+    """Detects NaN and inf in GPU tensors without waiting for the GPU."""
 
     def __init__(self, device: torch.device) -> None:
         with torch.inference_mode(False):
@@ -124,11 +119,11 @@ class _FiniteWatch:
         self._checks, self._waits = 0, 0
 
     def note(self, total: torch.Tensor) -> None:
-        """Add ``total * 0`` to a running sum, which is 0 while all numbers are finite, and NaN after a NaN or inf."""
+        """Add ``total * 0`` to a sum on the GPU, because NaN and inf times 0 give NaN, but finite numbers give 0."""
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return False if one of this method's last ``_PATIENCE`` calls found NaN or inf on the GPU, otherwise True."""
+        """Return False for ``_PATIENCE`` calls after NaN or inf was found on the GPU, otherwise True."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()
@@ -143,4 +138,4 @@ class _FiniteWatch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # The key is the index of the GPU on which the object detects NaN and inf.
+_watches: dict[int, _FiniteWatch] = {}  # by GPU index

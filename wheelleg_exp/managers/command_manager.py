@@ -20,8 +20,9 @@ from wheelleg_exp.terms.term_errors import described
 class CommandTerm(TermBase):
     """Base class of command terms, with a resampling timer and metrics of the command's tracking error.
 
-    A command's metric is the sum of ``error * dt`` over an episode, divided by the longest time between two draws of
-    the command. If ``logs_last_error`` is True, a command's metric is the tracking error at the end of an episode.
+    A command's metric is the sum of ``error * dt`` over an episode, divided by the upper bound of
+    ``resampling_time_range``. If ``logs_last_error`` is True, a command's metric is the tracking error at the end of an
+    episode.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -29,7 +30,7 @@ class CommandTerm(TermBase):
     """
 
     logs_last_error: ClassVar[bool] = False
-    may_draw = True  # ``may_draw`` is False if no resampling timer can expire in the present control step.
+    may_draw = True  # ``may_draw`` is False in control steps in which no command can be drawn.
 
     def __init__(
         self, env: Env, resampling_time_range: PositiveInterval, metric_names: Sequence[str], generator: torch.Generator
@@ -59,7 +60,7 @@ class CommandTerm(TermBase):
         raise NotImplementedError
 
     def post_process(self) -> None:
-        """In every control step, compute ``command`` from the values that the method ``draw`` stored."""
+        """Compute the present command from the drawn values, for example a yaw rate from a target heading."""
 
     def compute(self, dt: float) -> torch.Tensor:
         """Update the command's metrics, draw commands whose timer expired, and return the tracking errors."""
@@ -83,9 +84,9 @@ class CommandTerm(TermBase):
         return errors
 
     def read_settings(self) -> None:
-        """Read the settings again.
+        """Read the command's settings again.
 
-        If ``draw`` uses a tensor, ``read_settings`` must change it in place, because a CUDA graph uses its memory.
+        Subclasses must change tensors in place, because CUDA graphs read fixed memory addresses.
         """
 
     def may_expire(self, dt: float) -> bool:
@@ -161,8 +162,8 @@ class CommandManager(ManagerBase):
                 term.read_settings()
 
     def may_draw(self, dt: float) -> bool:
-        """Return whether a command may be drawn in a step of ``dt`` seconds, without waiting for a GPU."""
-        # Build a list, so that every command term advances its timer; with a generator, `any` stops at the first True.
+        """Return whether a new command may be drawn in the next ``dt`` seconds, without waiting for a GPU."""
+        # Build a list: each call of ``may_expire`` advances a timer, but `any` stops a generator at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
     def compute(self, dt: float, *, may_draw: bool = True) -> None:
@@ -173,7 +174,7 @@ class CommandManager(ManagerBase):
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # Delete the temporary attribute ``may_draw``, so that no checkpoint saves it.
+                    del term.may_draw  # Delete the attribute ``may_draw``, because a checkpoint would save it.
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands, and return the commands' metrics over the episodes that ended."""

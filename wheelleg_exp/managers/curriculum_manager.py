@@ -41,7 +41,7 @@ class CurriculumManager(ManagerBase):
         return log
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[Any]]]:
-        """Return the values that each curriculum term logged last, which are equal in all environments."""
+        """Return the last logged values of each curriculum term, which are the same in all environments."""
         del env_idx
         states = {name: state for name, state in self._state.items() if state is not None}
         parts = ((name, state.values() if isinstance(state, Mapping) else [state]) for name, state in states.items())

@@ -94,7 +94,7 @@ class EventManager(ManagerBase):
                 self._run(name, term, ids)
 
     def advance_timers(self, dt: float) -> None:
-        """Subtract ``dt`` seconds from the event timers; store in ``fired`` the environments whose timers expired."""
+        """Subtract ``dt`` seconds from the event timers, and store masks of expired timers in ``fired``."""
         for name in self._modes.get("interval", {}):
             time_left = self._time_left[name]
             time_left -= dt
@@ -103,7 +103,7 @@ class EventManager(ManagerBase):
     def apply_due(self, dt: float) -> bool:
         """Run interval events with expired timers, and the events of mode ``step``; return whether any event ran.
 
-        ``dt`` is the time, s, that the last call of ``advance_timers`` subtracted.
+        ``dt`` is the duration of the control step, s.
         """
         ran = False
         for name, term in self._modes.get("interval", {}).items():
@@ -112,7 +112,7 @@ class EventManager(ManagerBase):
             ids = ids_where(self.fired[name])
             if not len(ids):
                 continue
-            # For a timer that all environments share, ``ids`` is [0], because the timer has only one element.
+            # With ``is_global_time``, all environments share a timer with one element, and ``ids`` is [0].
             self._draw_timer(name, term, ids)
             self._run(name, term, None if term.fields.get("is_global_time", False) else ids)
             ran = True

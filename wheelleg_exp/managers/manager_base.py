@@ -1,4 +1,4 @@
-"""Terms that are bound to their functions, and the base class of all managers.
+"""Bind manager terms to their functions, and define the base class of all managers.
 
 When the environment is built, each term of the config is bound once to its function or class (``_target_``).
 ``ManagerBase`` lists, prints, resets, saves, and restores the terms of one config section.
@@ -32,7 +32,7 @@ from wheelleg_exp.user_exceptions import ending_as, in_words
 
 
 class TermBase(Stateful):
-    """A term with state, whose constructor takes ``env``, the parameters, and ``generator`` for random numbers.
+    """Base class of terms with state, whose constructors take ``env``, parameters, and, if needed, ``generator``.
 
     The package ``state`` saves and restores the attributes of a term: tensors always, unless ``settings`` names them;
     other attributes once they have changed.
@@ -72,7 +72,7 @@ class ManagerTermBase(OfEnv, TermBase):
 
 @dataclass
 class Term(Kept):
-    """A term bound to its function or object; called as ``func(env, **params)`` or, for objects, ``func(env)``.
+    """A manager term with its function or object, called as ``func(env, **params)`` or, for an object, ``func(env)``.
 
     Attributes:
         path: the config key of the term.
@@ -110,7 +110,7 @@ class Term(Kept):
         """Return a field of the term's config, such as ``weight``, as an attribute, as in Isaac Lab's configs."""
         if name in FIELD_TYPES:
             return vars(self).get("fields", {}).get(name)
-        raise AttributeError(f"a term has no attribute '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
+        raise AttributeError(f"a term has no attribute '{name}', only func, params, {', '.join(FIELD_TYPES)}")
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in FIELD_TYPES:
@@ -160,14 +160,14 @@ class Term(Kept):
 
     @property
     def stateful(self) -> TermBase | None:
-        """``stateful`` is the object of a term with a class, and None for a term with a plain function."""
+        """The object of a term whose ``_target_`` is a class; None if ``_target_`` is a function."""
         return self.func if isinstance(self.func, TermBase) else None
 
     def bound(self) -> None:
         """Note the settings of the term from the config: later differences are state."""
         if self.settings is None:
             params = self.params if self._make is None or self._keeps_params else self.arguments
-            # An observation term's modifiers and noise are saved as state, not as settings.
+            # Skip modifiers and noise, because ``ObservationTerm.state_dict`` saves their state.
             skip = ("modifiers", "noise")
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
@@ -180,9 +180,9 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Call the function ``make``, which creates a term's object, and store this object as the term's ``func``.
+        """Create the term's object with the function ``make``, and store the object as ``func``.
 
-        With ``keeps_params``, each call of the term object receives the parameters, as in Isaac Lab.
+        If ``keeps_params`` is True, each call of the object gets the term's parameters, as in Isaac Lab.
         """
         self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
@@ -194,7 +194,7 @@ class Term(Kept):
 
 
 class _Blamed:
-    """A context manager that adds the config key of a term to errors. A generator would be slower."""
+    """Adds a term's config key to errors raised in a ``with`` block. A generator would be slower."""
 
     __slots__ = ("_term",)
 
@@ -214,7 +214,8 @@ def bind_terms(
     """Bind every term of a config section, in the order of the config; terms that are null are skipped.
 
     ``kind`` is the kind of the terms, such as ``rewards``. ``section`` is the config key that contains the terms, such
-    as ``env.rewards``. If ``instantiate`` is False, the caller later calls ``instantiate_term`` for each term.
+    as ``env.rewards``. If ``instantiate`` is False, the caller must later create the terms' objects with
+    ``instantiate_term``.
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
@@ -262,14 +263,14 @@ def instantiate_term(term: Term, env: Env) -> None:
 
     def make() -> TermBase:
         node = TermNode(term.name, term.path, term.target, {}, term.arguments)
-        for error in parameter_errors("commands", node, kind):  # The section "commands" reserves no keys of terms.
+        for error in parameter_errors("commands", node, kind):  # In the section "commands", any name is valid.
             raise error
         with term.blamed():
             arguments: dict[str, Any] = {"cfg": term}
             if not term_binding.takes_cfg(kind):
                 arguments = _params(term, term.arguments, env)
             elif (config := term_binding.cfg_class(kind)) and config is read_from(kind):
-                # Action and command terms get their settings as ``cfg``, as in Isaac Lab.
+                # As in Isaac Lab, action and command terms get their parameters as one object ``cfg``.
                 arguments = {"cfg": config(**_params(term, term.arguments, env))}
             made_object: TermBase = cast(Any, kind)(env=env, **arguments)
         return made_object
@@ -280,10 +281,7 @@ def instantiate_term(term: Term, env: Env) -> None:
 
 
 def build(value: Any, path: str) -> Any:
-    """Replace each ``_target_`` node in a parameter by the result of the node's call, the innermost nodes first.
-
-    OmegaConf interpolations are not resolved, because the config is already composed.
-    """
+    """Return a parameter in which each ``_target_`` node is replaced by the object that its target returns."""
     for where, node in term_binding.walk_nodes(value, path):
         if TARGET in node:
             for error in nested_errors(where, node, resolve_target(str(node[TARGET]), where)):
@@ -334,7 +332,7 @@ class ManagerBase(OfEnv, Kept):
 
     @property
     def term_names(self) -> list[str]:
-        """Names of all terms as one list in the order of the config, even if ``active_terms`` groups the names."""
+        """Names of all terms in the order of the config, as a flat list."""
         return list(self._terms)
 
     @property
@@ -347,7 +345,7 @@ class ManagerBase(OfEnv, Kept):
         return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
 
     def set_term_cfg(self, name: str, cfg: Any) -> None:
-        """Set ``func``, ``params``, and the fields of a term to those of another term config."""
+        """Copy ``func``, ``params``, and the fields (such as ``weight``) of ``cfg`` to the term ``name``."""
         term = self.get_term_cfg(name)
         if cfg is term:
             return

@@ -1,7 +1,7 @@
 """Detect NaN and inf, name the manager term that produced NaN or inf, and save the state that led to it.
 
-Each control step checks only whether the sum of all rewards or observations is finite. If the sum of all rewards or
-observations is not finite, each value is checked.
+To save time, each control step checks only whether the sum of all rewards or observations is finite. If the sum of all
+rewards or observations is not finite, each value is checked.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ POLICY = "agent.actor"
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
-    """Return whether a tensor's sum suggests NaN or inf. The sum of large finite elements of a tensor can be inf."""
+    """Return whether the sum of all ``sums`` is NaN or inf. Sums of large finite numbers can also be inf."""
     return not is_finite(functools.reduce(torch.add, sums))
 
 
@@ -34,11 +34,11 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 
 
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
-    """Report which terms produced NaN or inf in the present step, and the state of the failed environments ``env_ids``.
+    """Return a dictionary with the entries ``keys`` and ``evidence`` about NaN or inf in the environments ``env_ids``.
 
-    The returned ``keys`` map each failed environment's index to the config keys of the terms with NaN or inf. The
-    returned ``evidence`` is the state of the failed environments. If the physics of an environment failed, ``keys``
-    names only the physics, because NaN in the physics causes NaN in terms.
+    ``keys`` maps each failed environment's index to the config keys of the terms with NaN or inf. ``evidence`` contains
+    the states of the failed environments. If an environment's physics failed, ``keys`` lists no reward terms, because
+    NaN in the physics makes rewards NaN.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
     chosen = set(env_ids.tolist())
@@ -53,10 +53,10 @@ def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
 def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
     """Return the state of the first ``MOST_SAVED`` of the environments ``ids``: arrays by name, one row for each.
 
-    The tensor ``state`` is the present state of the engine. ``motion_at_start`` has the positions and velocities at the
-    start of the control step, because the engine has already reset a failed simulation. ``model.<field>`` is a field of
-    the MuJoCo model that an event changed. From each further tensor (N, ...) in ``more``, the returned dictionary
-    contains the rows of the environments ``ids``.
+    The tensor ``state`` is the present state of the physics engine. Because the engine resets a failed simulation,
+    ``motion_at_start`` has the positions and velocities from the start of the control step. Entries such as
+    ``model.body_mass`` are fields of the MuJoCo model that events changed. ``more`` contains further tensors (N, ...),
+    of which the rows of ``ids`` are also returned.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -78,13 +78,13 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
     """Raise SimulationFailure if the event at the config key ``path`` wrote NaN or inf in the environments ``ids``.
 
-    ``asked`` contains the names of model fields and wrenches that the event at ``path`` may have changed.
+    ``asked`` names the fields of the MuJoCo model and the external wrenches that the event may have changed.
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
-        before = set(ids_where(env.scene.unstable()).tolist())  # Exclude environments whose physics had already failed.
+        before = set(ids_where(env.scene.unstable()).tolist())  # Exclude environments that failed before the event.
         for name, values in written.items():
             bad = set(failed_rows(values).tolist()) - before
             bad &= bad if ids is None else set(ids.tolist())
@@ -107,7 +107,8 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
     """Raise SimulationFailure if observations contain NaN or inf.
 
     The raised SimulationFailure names the first observation term with NaN or inf. ``only`` (N,) bool selects
-    environments. ``is_noted`` says whether ``note_observations`` was called for the present observations.
+    environments. If ``is_noted`` is True, ``note_observations`` has already started a check of the present
+    observations.
     """
     if is_noted and is_calm(env.device):
         return

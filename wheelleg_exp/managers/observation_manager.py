@@ -18,7 +18,7 @@ from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.config_sections import read_section
 
-_SLICE = 100  # A Python slice object with two numbers takes 100 bytes.
+_SLICE = 100  # bytes per slice object
 
 
 class ObservationManager(Kept):
@@ -36,7 +36,7 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # `in_masks` is for CUDA graphs, which select environments by masks, not indices.
+        self.in_masks = False  # If ``in_masks`` is True, masks select environments, as CUDA graphs require.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
@@ -69,7 +69,7 @@ class ObservationManager(Kept):
         return {group: layout.shape for group, layout in self._layouts.items()}
 
     def term_parts(self, group: str) -> dict[str, list[slice]]:
-        """Return, for each term, the slices of a concatenated group's observation that belong to the term.
+        """Return the position of each term in the concatenated observation of a group, as a list of slices.
 
         With ``history_order: time`` a term has one slice for each step, oldest first, otherwise one slice.
         """
@@ -79,11 +79,11 @@ class ObservationManager(Kept):
         """Return each term's slice of a concatenated observation; raise ValueError if a term has several slices."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(f"observation group '{group}' has history_order: time, so each term has a slice per step")
+            raise ValueError(f"a term of observation group '{group}' has several slices, because history_order is time")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
-        """Extract the observation of one term from the observation of the term's group."""
+        """Return the part of the group observation ``value`` that belongs to the term ``term``."""
         return self._layouts[group].part(term, value)
 
     def split(self, group: str, value: Group) -> dict[str, torch.Tensor]:
@@ -97,7 +97,7 @@ class ObservationManager(Kept):
         return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
     def distinct(self) -> list[Group]:
-        """Return the last observation of each group, except groups whose observation is a prefix of another group's."""
+        """Return the last observation of each group that is not just the beginning of another group's observation."""
         return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:
@@ -108,7 +108,8 @@ class ObservationManager(Kept):
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
         """Return the observation of every group, and advance the terms' noise, modifiers, and histories.
 
-        With a mask ``only`` (N,) bool, noise, modifiers, and histories advance only in its environments.
+        If a mask ``only`` (N,) bool is given, noise, modifiers, and histories advance only in environments where it is
+        True.
         """
         before = None if only is None else self.state_dict()
         first, values = self._first_ids(), Values()
@@ -116,7 +117,7 @@ class ObservationManager(Kept):
             pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
             if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
                 self._unshare(group)
-        # If observation group A contains the first terms of group B, compute B first, because A copies values from B.
+        # Compute the groups in ``_prefixes`` last, because they copy their observations from longer groups.
         order = sorted(self._groups, key=lambda group: group in self._prefixes)
         found = {group: self._computed(group, first, values) for group in order}
         self.obs_buf = {group: found[group] for group in self._groups}
@@ -198,7 +199,7 @@ class ObservationManager(Kept):
         self._find_prefixes(group)
 
     def _find_prefixes(self, added: str) -> None:
-        """Store only one history for two observation groups if the terms of one group are the other's first terms."""
+        """If a group's terms are the first terms of a longer group, let both groups use the same stored history."""
         for known in [group for group in self._rows if group not in self._prefixes and group != added]:
             part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
             if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._prefixes.values():
@@ -262,14 +263,11 @@ class ObservationManager(Kept):
 
 
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
-    """Raise ConfigError if the observation histories do not fit into memory.
-
-    If ``key`` is empty, the raised ConfigError names the config key of the observation term with the longest history.
-    """
+    """Raise ConfigError if the observation histories do not fit into memory."""
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # Each number and step of a history needs two float32 values per environment, and two int64 indices in total.
+    # Each number in a history needs two float32 values per environment, and two int64 indices for all environments.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

@@ -22,7 +22,7 @@ from wheelleg_exp.terms.term_errors import failure
 
 @dataclass
 class Values:
-    """Observation values of the present control step; the key of a value is the term that computed the value.
+    """Observations of the present control step by observation term, so that equal terms are computed only once.
 
     Attributes:
         raw: results of the functions.
@@ -89,9 +89,9 @@ class ObservationTerm(Kept):
             self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
 
     def share(self, others: Iterable[ObservationTerm]) -> None:
-        """Reuse the value of another term in ``others`` if both terms call the same function with equal parameters.
+        """Find a term in ``others`` with the same function and equal parameters, and reuse its observations.
 
-        Values of terms with state, and of terms that draw random numbers, are not reused.
+        Observations of terms with state or random numbers are not reused.
         """
         term = self.term
         if term.stateful is not None or term.generator is not None:
@@ -104,10 +104,7 @@ class ObservationTerm(Kept):
                 return
 
     def _processes_as(self) -> Any:
-        """Return clip and scale of the observation term in a form that can be compared.
-
-        A term with state, random draws, or tensors is never equal to another term.
-        """
+        """Return clip and scale for a comparison of two terms, or a unique object if samples cannot be shared."""
         plain = not self._modifiers and self._noise is None and self.delay is None
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
 
@@ -117,14 +114,14 @@ class ObservationTerm(Kept):
         return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
 
     def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether this observation term and the term ``other`` have equal samples and equal history lengths."""
+        """Return whether this term and the term ``other`` always have equal samples and histories of equal length."""
         shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
         return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
         """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
 
-        The sample of the observation term is stored in ``values``, so that other terms can reuse the sample.
+        The returned sample is also stored in ``values``, so that equal terms can reuse it.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -160,7 +157,7 @@ class ObservationTerm(Kept):
         return value
 
     def shown(self, history: torch.Tensor) -> torch.Tensor:
-        """Reshape a history (N, H, ...) to the shape of the observation."""
+        """Flatten a history (N, H, ...) to (N, columns) if the setting ``flatten_history_dim`` is true."""
         return history.flatten(1) if self._flatten else history
 
     def parts(self) -> dict[str, Any]:
@@ -169,7 +166,7 @@ class ObservationTerm(Kept):
         return found | ({} if self._noise is None else {"noise": self._noise})
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers, noise, and delay of ``env_ids``; the next sample fills the history."""
+        """Reset the term's object, modifiers, noise, and delay in the environments ``env_ids``."""
         if isinstance(self.term.func, TermBase):
             self.term.func.reset(env_ids)
         for modifier in self._modifiers:
@@ -219,7 +216,7 @@ class ObservationTerm(Kept):
 
 
 def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    """Return whether the parameters of two observation terms are equal and cannot change in place."""
+    """Return whether two terms have equal parameters. Mutable values, such as lists, count as unequal."""
     for name, value in mine.items():
         other = theirs.get(name)
         if isinstance(value, SceneEntityCfg) and isinstance(other, SceneEntityCfg):
@@ -269,10 +266,10 @@ class GroupLayout:
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
         self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
-        self._dim += self._dim >= 0  # A batch has an additional first dimension, the environments.
+        self._dim += self._dim >= 0  # ``concatenate_dim`` does not count the dimension of the environments.
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
-        """Reshape a history (N, H, ...) of one term to the shape that ``join`` expects."""
+        """Flatten a term's history (N, H, ...) if necessary; ``join`` flattens histories that are ordered by time."""
         return history if self.by_time else term.shown(history)
 
     def join(self, values: dict[str, torch.Tensor]) -> Group:
@@ -292,7 +289,7 @@ class GroupLayout:
 
 
 def _parts(widths: Mapping[str, int], steps: int) -> dict[str, list[slice]]:
-    """Return the slices of each term in an observation row that repeats all terms ``steps`` times."""
+    """Return each term's slices in an observation that lists all terms of step 1, then of step 2, and so on."""
     found: dict[str, list[slice]] = {name: [] for name in widths}
     start = 0
     for _ in range(steps):

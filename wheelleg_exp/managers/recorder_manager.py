@@ -18,7 +18,7 @@ from wheelleg_exp.terms.term_errors import code_place, described
 Recorded = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
 Arrays = dict[str, np.ndarray]
 _SUCCESS = "success"  # An episode that the termination `success` ends is a success.
-_OWN = ("episode", "rows")  # Recorder terms cannot use keys with these prefixes.
+_OWN = ("episode", "rows")  # Keys of recorder terms cannot start with ``episode/`` or ``rows/``.
 _FIRST_ROOM = 64  # rows
 
 
@@ -32,7 +32,7 @@ class Rows:
         self._starts = np.zeros(num_envs, dtype=np.int64)
 
     def append(self, value: np.ndarray, owner: str) -> None:
-        """Append ``value`` as a row (N, …); a raised error names the recorder's config key ``owner``."""
+        """Append ``value`` (N, …) as a new row. Errors contain ``owner``, the config key of the recorder term."""
         if self._count and value.shape != self._rows.shape[1:]:
             message = f"the recorded shape is {value.shape}, and was {self._rows.shape[1:]}"
             raise ConfigError(message, key=owner, expected="the same shape at every call")
@@ -52,7 +52,7 @@ class Rows:
         self._starts[:] = 0
 
     def of(self, env_id: int) -> np.ndarray:
-        """Return the rows (T, …) of the current episode of an environment."""
+        """Return one environment's recorded rows of its current episode, (T, …) for T rows."""
         return self._rows[self._starts[env_id] : self._count, env_id]
 
     def begin(self, ids: np.ndarray) -> None:
@@ -69,9 +69,9 @@ class Rows:
 
 
 def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays (rows, …) that a recorder's hook returned, by key; arrays of a mapping have keys ``key/name``.
+    """Yield ``(key, array)`` for each tensor that a recorder's method returned; a mapping gives keys like ``key/name``.
 
-    ``source`` describes the recorder's hook in error messages, and ``code`` is the function of the hook.
+    Errors contain ``source``, the name of the recorder's method, and the file and line of ``code``.
     """
     found = described(returned)
     if isinstance(returned, tuple) and len(returned) == 2:
@@ -101,11 +101,12 @@ class RecorderTerm(TermBase):
     """Records quantities by key. A subclass of the recorder class overrides only the hooks that the subclass needs.
 
     A recorder's hook returns a key and a tensor with one row for each environment, or a key and a mapping of tensors.
-    A tensor ``b`` in a mapping with the key ``a`` is recorded as ``a/b``. A hook without data returns (None, None).
+    For example, the key ``a`` with the mapping ``{"b": tensor}`` records the tensor as ``a/b``. A hook that records
+    nothing returns (None, None).
 
     Attributes:
         reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before the
-            resets, without noise. Computing observations for recorders changes no state and no random stream.
+            resets, without noise.
     """
 
     reads_observations: ClassVar[bool] = True
@@ -139,8 +140,8 @@ class RecorderManager(ManagerBase):
 
     A dataset holds complete episodes. If an environment's state was loaded during an episode, the dataset omits the
     episode, whose start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and
-    without recorders. With Gymnasium's autoreset mode ``next_step``, the step that only resets counts as the last step
-    of an episode.
+    without recorders. In Gymnasium's autoreset mode ``next_step``, the extra step that resets an environment is the
+    episode's last step.
     """
 
     kind = "recorders"
@@ -218,9 +219,10 @@ class RecorderManager(ManagerBase):
         """Return a dictionary ``{group: {name: array}}`` of the episodes that ended since the last call of ``take``.
 
         With ``export_mode: all``, the only group of episodes is ``episodes``; otherwise, the groups are ``succeeded``
-        and ``failed``. The arrays ``episode/env``, ``episode/length`` (control steps), ``episode/last_step`` (control
-        steps since construction), and ``episode/success`` have one number for each episode. The array of a quantity
-        holds the rows of all episodes in order; ``rows/<key>`` holds the number of rows of each episode.
+        and ``failed``. ``episode/env``, ``episode/length``, ``episode/last_step``, and ``episode/success`` are arrays
+        with one number per episode. ``episode/length`` and ``episode/last_step`` are in control steps, the latter since
+        construction of the environment. Each recorded quantity is one array with the rows of all episodes;
+        ``rows/<key>`` has the number of rows per episode.
         """
         found = {group: _joined(episodes) for group, episodes in self._finished.items()}
         self._finished = {}

@@ -1,4 +1,4 @@
-"""Check that the return value of a term has the required form. The error message states which value a term must return.
+"""Check that the return value of a term has the required form.
 
 The first return value of each term is checked for its type, shape, and device. From a term's second call on, only the
 shape of the term's return value is checked.
@@ -22,7 +22,7 @@ class Form(Protocol):
     """Base class of the requirements for a term's return value, such as type, shape, and device."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a fast check shows that the return value ``value`` is valid. If not, ``check`` decides."""
+        """Return True if a fast test accepts a term's return value; otherwise, call ``check`` for an exact test."""
 
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError if a term's return value is invalid; the message names the function ``source``."""
@@ -31,8 +31,7 @@ class Form(Protocol):
 def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
     """Raise ConfigError with the config key ``path`` unless a term's return value ``value`` has the form ``form``.
 
-    ``source`` describes the function that returned ``value``. The raised ConfigError contains the file and line of
-    ``code``, the function or object that returned ``value``.
+    The error contains ``source``, the name of the function that returned ``value``, and the file and line of ``code``.
     """
     try:
         form.check(value, source)
@@ -42,7 +41,7 @@ def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> N
 
 @dataclass
 class TensorForm:
-    """The required form of a tensor with one row for each environment.
+    """Requires that a term returns a tensor with one row for each environment.
 
     Attributes:
         rows: number of environments, N.
@@ -62,11 +61,11 @@ class TensorForm:
 
     @property
     def is_known(self) -> bool:
-        """Whether an earlier call of the term has returned a valid tensor."""
+        """Whether the term has already returned a valid tensor, whose shape all later tensors must have."""
         return self._shape is not None
 
     def fits(self, value: Any) -> bool:
-        """Return whether ``value`` has the same shape as the first valid tensor that the term returned."""
+        """Return whether ``value`` has the shape of the first valid tensor that the term returned."""
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
     def check(self, value: Any, source: str) -> None:
@@ -125,14 +124,14 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 
 @dataclass
 class NoForm:
-    """The required form for a term without a return value; managers ignore what the term returns."""
+    """Requires that a term returns None, as event terms do."""
 
     def fits(self, value: Any) -> bool:
         """Return whether a value is None."""
         return value is None
 
     def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError if the function that ``source`` describes returned a value other than None."""
+        """Raise ConfigError if ``value`` is not None; the message names the function ``source`` that returned it."""
         if value is not None:
             raise ConfigError(
                 f"{source} returns {described(value)}, but must return nothing", expected="no return value"

@@ -70,7 +70,7 @@ class RewardManager(ManagerBase):
         self._factors = self.step_reward.new_tensor(self._weights).unsqueeze(1)
 
     def exclude(self, env_ids: torch.Tensor) -> None:
-        """Store in ``non_finite`` which reward terms are NaN or inf in ``env_ids``; set NaN and inf values to 0."""
+        """Store the reward terms with NaN or inf in ``non_finite``, and set all rewards of ``env_ids`` to 0."""
         self._raw_values = self.step_reward.clone()
         for env_id in env_ids.tolist():
             bad = (~self.step_reward[:, env_id].isfinite()).tolist()

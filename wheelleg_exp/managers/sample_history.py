@@ -1,8 +1,8 @@
-"""Store histories of the last observation samples, oldest first, and delay observations.
+"""Store the last samples of observation terms as histories, oldest sample first, and delay observations.
 
 Each new sample creates a new tensor, so that returned histories never change. The first sample of an episode fills the
-whole history, as in Isaac Lab. ``first`` selects the environments whose sample is the first of an episode, by indices
-or by a mask (N,); None selects no environment.
+whole history, as in Isaac Lab. The argument ``first`` selects environments at the start of an episode, by indices or a
+mask (N,); None selects no environment.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class HistoryBuffer:
         return self.samples
 
     def appended(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
-        """Return the history that ``append`` would return, but do not store the sample."""
+        """Return the history with ``sample`` as its newest sample, but do not store ``sample``."""
         newest = sample.unsqueeze(1)
         after = torch.cat((self.samples[:, 1:], newest), dim=1)
         if first is not None and first.dtype == torch.bool:
@@ -51,8 +51,8 @@ class HistoryBuffer:
 class RowHistory:
     """Stores the histories of several observation terms in one row per environment: term by term, oldest sample first.
 
-    ``widths`` has the number of elements in one sample of each observation term. A history length of 0 or 1 in
-    ``lengths`` means that only the newest sample is stored.
+    ``widths`` has the number of elements in one sample of each observation term. ``lengths`` has the number of stored
+    samples of each term; a length of 0 also stores one sample.
     """
 
     def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
@@ -74,7 +74,7 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the histories that ``append`` would return, but store nothing; omit terms without a sample."""
+        """Return the histories with ``samples`` as the newest samples, but do not store ``samples``."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -90,7 +90,7 @@ class RowHistory:
         return after
 
     def prefix(self, count: int) -> torch.Tensor:
-        """Return a copy of the histories of the first ``count`` observation terms, (N, columns)."""
+        """Return a copy of the histories of only the first ``count`` terms, joined to one row (N, columns)."""
         return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
 
     def part(self, index: int) -> RowHistoryPart:
@@ -99,7 +99,7 @@ class RowHistory:
 
 
 class RowHistoryPart:
-    """The history of one observation term, stored in a ``RowHistory``, the tensor of several terms' histories."""
+    """The history of one observation term, which is stored as columns of a ``RowHistory``."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
         self._row, self._span, self._width = row, span, width
@@ -110,12 +110,12 @@ class RowHistoryPart:
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the state that a checkpoint saves, in the form of ``HistoryBuffer.state_dict``."""
+        """Return the term's stored samples, which a checkpoint saves."""
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore the state from a checkpoint."""
-        self._row.values = self._row.values.clone()  # Callers may still use the old history tensor, so copy it first.
+        self._row.values = self._row.values.clone()  # Change a copy, because callers may still use the old tensor.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 

@@ -22,8 +22,8 @@ from wheelleg_exp.terms.config_sections import read_section
 class SceneManager:
     """The scene, built from the composed ``env`` section and the robot's MJCF file.
 
-    ``stream`` returns the random stream for a config key. ``stream`` is None for a scene that is only inspected, not
-    simulated.
+    ``stream(key)`` returns the random generator for a config key. If ``stream`` is None, all generators are derived
+    from the seed 0.
     """
 
     def __init__(

@@ -56,7 +56,7 @@ class Streams(Kept):
 
 @contextmanager
 def lent(generator: torch.Generator | None) -> Iterator[None]:
-    """Inside the ``with`` block, use a random stream as torch's global generator on the stream's device."""
+    """Make torch's global generator draw from the random stream ``generator`` inside a ``with`` block."""
     if generator is None:
         yield
         return

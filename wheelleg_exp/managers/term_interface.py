@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Env(Protocol):
-    """The attributes and methods of the environment that terms use.
+    """The environment, with the attributes that manager terms can use.
 
     Attributes:
         cfg: the composed ``env`` section, by attribute or key.
@@ -96,7 +96,7 @@ class SceneEntityCfg:
     preserve_order: bool = False
 
     def resolve(self, scene: Scene, path: str = "SceneEntityCfg") -> None:
-        """Find the indices of the selected joints and bodies; raised errors name the config key ``path``."""
+        """Find the joints and bodies that match the expressions; errors name the config key ``path``."""
         entity = member(scene, self.name, f"{path}.name")
         if self.joint_names is not None:
             if not hasattr(entity, "find_joints"):
@@ -113,15 +113,15 @@ class SceneEntityCfg:
         self._bodies = _on_host(self.body_ids, len(getattr(entity, "body_names", ())))
         for name in ("fixed_tendon_names", "object_collection_names"):
             if getattr(self, name) is not None:
-                raise ConfigError(f"'{self.name}' does not support '{name}'", key=f"{path}.{name}", expected="null")
+                raise ConfigError(f"entity '{self.name}' has no '{name}'", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the selected bodies; once ``resolve`` has run, this method does not wait for a GPU."""
+        """Return the indices of the selected bodies as a list; after ``resolve``, this needs no copy from the GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
     def selects_as(self, other: SceneEntityCfg) -> bool:
-        """Return whether another entity selects the same joints and bodies in the same order as this entity."""
+        """Return whether this entity and ``other`` select the same joints and bodies in the same order."""
         names = ("name", "joint_names", "body_names", "preserve_order")
         return all(getattr(self, name) == getattr(other, name) for name in names)
 
@@ -154,7 +154,7 @@ def _listed(names: str | Sequence[str]) -> list[str]:
 def bounds(
     ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the lower and upper bounds (k,) of named ranges as tensors; a missing axis has the range (0, 0)."""
+    """Return lower and upper bounds (k,) of the ranges of k axes; an axis without a range has the bounds 0 and 0."""
     require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
     pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
     return pairs[:, 0], pairs[:, 1]

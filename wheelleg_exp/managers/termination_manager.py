@@ -93,7 +93,7 @@ class TerminationManager(ManagerBase):
     def last_endings(self) -> Counter[str]:
         """Count the environments by the terminations that ended their last episode.
 
-        An environment counts as ``none`` if it has no finished episode, or if no termination ended its last episode.
+        The key ``none`` counts environments that have not finished an episode, or whose last episode no term ended.
         """
         found = _endings(self.active_terms, self._last_episode)
         return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
@@ -103,6 +103,6 @@ class TerminationManager(ManagerBase):
 
 
 def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
-    """Count environments by the termination terms that fired; ``fired`` (T, n) has a flag for each of T terms."""
+    """Count environments by termination; ``fired`` (T, n) tells which of T terms ended which of n episodes."""
     columns = fired.T.tolist()
     return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

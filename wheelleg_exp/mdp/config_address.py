@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# Managers read the settings in ``_READ_AT_EACH_USE`` at each use, and all other settings of a term only once.
+# Of a term's fields, curricula can change only ``_READ_AT_EACH_USE``, which managers read at each use.
 _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -39,14 +39,14 @@ def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address points into a manager term; such a term saves its own settings in checkpoints."""
+    """Return whether the address ``parts`` is a setting of a manager term, which checkpoints already contain."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
     """Set the value of the setting at an address relative to the object ``root``.
 
-    If the setting is a constructor argument of a term's class, ``write`` also updates the term's object.
+    A changed constructor argument of a term also changes the existing object of the term.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -69,7 +69,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
 
 
 def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
-    """Raise ConfigError if a setting's address does not exist, or if a new value there would have no effect."""
+    """Raise ConfigError if a setting does not exist, or if a change of its value would have no effect."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):
@@ -78,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # Isaac Lab's `TERM.params.NAME` is `TERM.NAME` here.
+        if part in ("func", "params"):  # Isaac Lab's address `TERM.params.NAME` means `TERM.NAME`.
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:

@@ -33,7 +33,7 @@ _MANAGERS = {section: f"{section.removesuffix('s')}_manager" for section in _SEC
 
 
 class modify_env_param(TermBase):
-    """Call a function that changes an environment's setting, given by its address; log the setting if it is a number.
+    """Change the environment's setting at ``address`` with the function ``modify_fn``, and log numeric settings.
 
     The address is dotted, with ``[i]`` for list elements: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``.
     A checkpoint saves and restores the value of a setting that this curriculum term has changed.
@@ -41,9 +41,9 @@ class modify_env_param(TermBase):
     Args:
         address: address of the value.
         modify_fn: dotted name of the function, or a node that builds the function, such as one of
-            ``wheelleg_exp.mdp.schedules``. The arguments of ``modify_fn`` are the environment, the ids of environments
-            to reset, the value at ``address``, and ``modify_params``. The result of ``modify_fn`` is the new value at
-            ``address``, or ``modify_env_param.NO_CHANGE``.
+            ``wheelleg_exp.mdp.schedules``. The function is called as ``modify_fn(env, env_ids, old_value,
+            **modify_params)``. ``modify_fn`` returns the new value, or ``modify_env_param.NO_CHANGE`` to keep the old
+            value.
         modify_params: further arguments of the function, by name.
     """
 
@@ -82,7 +82,7 @@ class modify_env_param(TermBase):
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy the setting's new value, because a checkpoint cannot restore a list that two attributes share.
+            # Copy a new list, because checkpoints cannot restore a list that the setting shares with ``modify_params``.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -103,7 +103,8 @@ class modify_term_cfg(modify_env_param):
     """Call a function that changes a setting of a manager term; see ``modify_env_param``.
 
     The address starts with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
-    ``observations.policy.base_ang_vel.noise.n_max``. As in Isaac Lab, a parameter's address may contain ``params``.
+    ``observations.policy.base_ang_vel.noise.n_max``. As in Isaac Lab, ``rewards.alive.params.NAME`` is also a valid
+    address of a parameter.
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
@@ -147,7 +148,7 @@ _Limits = dict[str, tuple[float, float]]
 
 
 def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits) -> Iterator[ConfigError]:
-    """Yield an error for each axis in ``limit_ranges`` whose range in the command is missing or exceeds its limit."""
+    """Yield an error for each axis whose command range is missing, or is not inside the range in ``limits``."""
     for axis, (lowest, highest) in limits.items():
         key, pair = f"limit_ranges.{axis}", ranges.get(axis)
         if pair is None:
@@ -272,10 +273,10 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        # ``_sums`` adds up, in each episode, the tracking score, the score of a robot at rest, and the number of steps.
+        # ``_sums`` has sums of three values: tracking scores, scores of a robot at rest, and steps.
         self._sums = torch.zeros(shape, device=env.device)
-        self._total = torch.zeros(shape[:2], device=env.device)  # ``_total`` sums up ``_sums`` of ended episodes.
-        # ``_counts[i]`` is False if the episode of environment i started before the last change of a command range.
+        self._total = torch.zeros(shape[:2], device=env.device)  # over ended episodes
+        # ``_counts[i]`` is False while environment i finishes an episode with an older command range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
@@ -301,7 +302,7 @@ class command_levels_by_skill(TermBase):
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # In the missing steps of a failed episode, the tracking score counts as 0.
+        sums[1:] *= rest  # Count the steps after a failure, too, with a tracking score of 0.
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
@@ -318,7 +319,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # Skip a command component that was always zero.
+            if steps - still <= 0.0:  # Skip an axis with only zero commands: its skill is 0 / 0.
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -339,13 +340,13 @@ class terrain_levels_by_distance(TermBase):
     """Move robots to harder or easier terrain tiles by the distance covered along the command; return tile levels.
 
     The covered distance of an episode is the time integral of the velocity component along the command's direction, in
-    horizontal axes that turn with the robot. The commanded distance of a failed episode is extrapolated to a
-    full-length episode. A robot moves to a harder tile if it covered at least the share ``up`` of the commanded
-    distance, and to an easier tile if it covered at most the share ``down``. If the commanded distance is below
-    ``min_distance``, a robot stays on its tile, or moves to an easier tile after a failed episode. A robot that passes
-    the hardest row of tiles moves to a random row. On ground without terrain tiles, ``terrain_levels_by_distance`` has
-    no effect. If the mean tile level is in the lower half and has not increased for ``patience`` full-length episodes,
-    the log value ``stuck`` is 1, and training warns.
+    horizontal axes that turn with the robot. For a failed episode, the commanded distance is multiplied by the full
+    episode length divided by the actual length. A robot moves to a harder tile if it covered at least the share ``up``
+    of the commanded distance, and to an easier tile if it covered at most the share ``down``. If the commanded distance
+    is below ``min_distance``, a robot stays on its tile, or moves to an easier tile after a failed episode. A robot
+    that passes the hardest row of tiles moves to a random row. On ground without terrain tiles,
+    ``terrain_levels_by_distance`` has no effect. If the mean tile level is in the lower half and has not increased for
+    ``patience`` full-length episodes, the log value ``stuck`` is 1, and training warns.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.

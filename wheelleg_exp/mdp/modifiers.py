@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # A checkpoint saves tensors, but not constant tuples of tensors.
+        self._coefficients = (feedback, forward)  # a tuple, because checkpoints save all tensor attributes
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 

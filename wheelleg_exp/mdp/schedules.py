@@ -1,8 +1,8 @@
 """Functions for ``modify_fn`` of ``modify_env_param`` and ``modify_term_cfg``: how a value changes with time.
 
 A schedule of a setting depends on ``common_step_counter``, the number of control steps since the start of training.
-``value``, ``start`` and ``end`` are numbers, lists of numbers, or mappings to numbers, in the form of the setting that
-the schedule changes.
+``value``, ``start``, and ``end`` have the same form as the setting: a number, a list of numbers, or a mapping to
+numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from wheelleg_exp.mdp.curriculums import modify_env_param
 
 
 def override_value(env: Env, env_ids: torch.Tensor, old_value: Any, value: Any, num_steps: Natural) -> Any:
-    """Return ``value`` after ``num_steps`` control steps of training; before, leave the setting unchanged."""
+    """Return ``value`` after ``num_steps`` control steps of training, and ``NO_CHANGE`` until then."""
     del env_ids, old_value
     return value if env.common_step_counter > num_steps else modify_env_param.NO_CHANGE
 

@@ -98,7 +98,7 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        # ``_stayed`` counts control steps since the robot last moved by ``distance``; -1 at the start of an episode.
+        # ``_stayed`` has the control steps since the robot last moved by ``distance``, or -1 before the first step.
         self._stayed = torch.full((env.num_envs,), -1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:

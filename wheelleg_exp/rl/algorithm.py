@@ -69,7 +69,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
-    """Return an object that mirrors every second environment; None unless ``agent.symmetry.mirrored_envs`` is true."""
+    """Return a ``MirroredHalf`` if ``agent.symmetry.mirrored_envs`` is true, otherwise None."""
     options = options_of(agent)
     if options is None or not options.mirrored_envs:
         return None

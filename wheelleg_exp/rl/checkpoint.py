@@ -23,7 +23,7 @@ _READABLE = (1, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
 # An rsl_rl algorithm has two networks: an actor and a critic, or a student and a teacher.
 ROLES = ("actor", "critic", "student", "teacher")
-# These values limit a checkpoint's number of objects, its nesting depth, and its tensor bytes per byte of the file.
+# A checkpoint is limited in number of objects, depth of nesting, and tensor bytes per byte of the file.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
@@ -102,9 +102,9 @@ def require_resumable(state: Mapping[str, Any]) -> None:
 
 
 def _rebuilt(value: Any) -> Any:
-    """Return a copy of a tree of containers in which no object occurs twice.
+    """Return a deep copy of nested containers in which no object is shared.
 
-    Pickle writes a shared object only once, so equal states with and without shared objects would give different bytes.
+    Pickle writes a shared object only once, so equal states could give different bytes if objects were shared.
     """
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)

@@ -18,8 +18,8 @@ def no_global_draws(*generators: str) -> Iterator[None]:
     """Raise ConfigError if the body draws from a global generator: ``torch``, ``numpy``, ``python`` (default: all).
 
     The policy draws its exploration noise from torch's global generator. A manager term that draws from torch's global
-    generator would change the policy's exploration noise. The seed of a run does not set the generators of NumPy and
-    Python.
+    generator would change the policy's exploration noise. The global generators of NumPy and Python are not seeded, so
+    their random numbers differ between runs.
     """
     watched = generators or tuple(_STATES)
     before = [_STATES[name]() for name in watched]

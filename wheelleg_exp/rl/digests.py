@@ -1,6 +1,5 @@
 """Short digests of a training's state: each iteration logs them, and a checkpoint must agree with them.
 
-A digest (hash) is computed from a checkpoint's content, so that a reader of the checkpoint can verify the digest.
 Digests depend on names, types, shapes, and bytes only: two states have equal digests if and only if they are equal bit
 for bit.
 """

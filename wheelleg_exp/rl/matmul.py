@@ -1,9 +1,9 @@
 """Compute the matrix products of the policy update in bfloat16 on CPUs that support it, or in TF32 on GPUs.
 
-Weights, biases, derivatives of activations, losses, sums of gradients, and the optimizer stay float32. Only the factors
-of matrix products and the values between two layers have 8 significant bits (mixed precision, Micikevicius and others
-2018; format of Kalamkar and others 2019). oneDNN sums products in float32. Rollouts, evaluation, and export always use
-float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
+Weights, biases, derivatives of activations, losses, sums of gradients, and the optimizer stay float32. The factors of
+matrix products, and the values between two layers, are rounded to 8 significant bits. Sources: mixed precision,
+Micikevicius and others 2018; bfloat16, Kalamkar and others 2019. oneDNN sums products in float32. Rollouts, evaluation,
+and export always use float32. Isaac Lab trains with TF32, a format with a mantissa of 10 bits.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ KEY = "agent.matmul"
 # A layer of at least ``FEWEST_WEIGHTS`` weights is faster in bfloat16 than in float32, despite the conversions.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers per block
-# ``_ANY`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow all CPU instructions, including AMX.
+# oneDNN may use AMX instructions if the environment variable ONEDNN_MAX_CPU_ISA has a value in ``_ANY``.
 _ANY = ("", "ALL", "DEFAULT")
-# ``_WITH_VECTORS`` lists values of the environment variable ONEDNN_MAX_CPU_ISA that allow bf16 vector instructions.
+# oneDNN may use bf16 vector instructions if ONEDNN_MAX_CPU_ISA has a value in ``_WITH_VECTORS``.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
-# ``_COUNTS`` lists the thread counts with which ``products_depend_on_threads`` computes matrix products.
-# Try several counts: products with 1 and 16 threads can be equal even if the product with 2 threads differs.
+# Test several thread counts: 1 and 16 threads can give equal products while 2 threads give another product.
 _COUNTS = (1, 2, 3, 4, 8, 16)
 
 
@@ -78,8 +77,8 @@ def has_units() -> bool:
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
     """Return whether a network layer's matrix products with a batch of ``rows`` depend on the number of threads.
 
-    With AMX, oneDNN may split a sum among threads. For each large linear layer of ``networks``,
-    ``products_depend_on_threads`` multiplies random matrices with 1 to 16 threads and with ``threads`` threads.
+    With AMX instructions, oneDNN may split a sum among threads, which changes the rounding. The test multiplies random
+    matrices of the layers' shapes with several numbers of threads.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]
@@ -154,10 +153,10 @@ def _is_large(layer: nn.Linear) -> bool:
 
 
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
-    """Return the output (..., O) of a linear layer, whose matrix products have only bfloat16 factors.
+    """Return the output (..., O) of a linear layer, computed from inputs and weights that are rounded to bfloat16.
 
-    The input ``x`` (..., I) is float32 or bfloat16, and ``bias`` (O,) is added in float32. If ``elu`` is True, ELU
-    with alpha 1 is applied to the output. ``linear`` returns bfloat16 if ``elu`` is True, otherwise float32.
+    The input ``x`` (..., I) is float32 or bfloat16, and ``bias`` (O,) is added in float32. If ``elu`` is True, the
+    activation ELU (alpha 1) is applied, and the output is bfloat16; otherwise, the output is float32.
     """
     return _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
 

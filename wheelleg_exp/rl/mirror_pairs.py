@@ -14,7 +14,7 @@ JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
 _MAX_JOINT_DISTANCE = 0.02  # of the robot's size
 _FLIP = np.array([1.0, -1.0, 1.0])  # mirrors y
 MIRROR = np.diag(_FLIP)
-# The cosine between a joint's axis and the mirrored axis of the paired joint must have at least this magnitude.
+# A joint's axis may differ from its mirror image by 8 degrees, which have the cosine 0.99.
 _MIN_AXIS_COSINE = 0.99
 
 
@@ -23,7 +23,7 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
 
     A key of ``pairs`` is a regular expression that matches the full names of joints on one side of the robot. The value
     of a key in ``pairs`` is the joint's name on the other side, in which ``\1`` stands for a matched group of the key.
-    An entry of ``pairs`` with the value None has no effect.
+    Pairs with the value None are ignored.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -49,11 +49,11 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
 
 
 def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
-    """Return the sign of each joint's motion in the mirror. Raise ConfigError if two paired joints are not symmetric.
+    """Return the factors, 1 or -1, by which a mirror changes joint positions. Raise ConfigError for asymmetric joints.
 
-    A mirror M changes a rotation by q about the axis a to a rotation by q about the axis -M a, and a slide along the
-    axis a to a slide along the axis M a. Two paired joints must have mirrored anchors, and must move bodies with
-    mirrored centres of mass and equal masses. ``images`` contains the index of each joint's mirror image.
+    A mirror M turns the axis a of a hinge into -M a, because the sense of rotation changes, and the axis a of a slide
+    into M a. Two paired joints must have mirrored anchors, and must move bodies with mirrored centres of mass and equal
+    masses. ``images`` contains the index of each joint's mirror image.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -91,15 +91,16 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 
 
 _MAX_BODY_DISTANCE = 0.02  # of the robot's size
-# A body's mirrored rotation matrix and the rotation matrix of its image can differ by this value per entry.
+# After mirroring, the rotation matrices of a body and its mirror image may differ by 0.02 per entry.
 _MAX_FRAME_ERROR = 0.02
 
 
 class BodyImages:
     """Finds the mirror image of each body of a robot.
 
-    The mirror image of a body with a joint is the body of the mirrored joint; other bodies are found by their position.
-    ``names`` are the body names, starting with the root. ``joint_images`` has the index of each joint's mirror image.
+    If a joint moves a body, the mirrored joint moves the body's mirror image. All other mirror images are found by
+    position. ``names`` are the body names, starting with the root. ``joint_images`` has the index of each joint's
+    mirror image.
     """
 
     def __init__(

@@ -28,10 +28,10 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
     "base_pose": (1, -1, 1),  # height, roll, pitch
     "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
 }
-# ``FREE_WIDTH_RULES`` names left-right mirror rules for observations without a fixed number of values.
+# ``FREE_WIDTH_RULES`` names the mirror rules that fit observations with any number of values.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
-# ``BODY_RULES`` contains left-right mirror rules for observations of bodies: one sign per observed number of a body.
-# A rule in ``BODY_RULES`` also names the parameter that selects bodies, and says if body axes must be mirrored.
+# Each rule in ``BODY_RULES`` mirrors an observation of bodies, with one sign for each number of a body.
+# ``BODY_RULES`` also has the parameter that selects bodies, and whether the bodies' axes must be mirror images.
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -45,7 +45,7 @@ COMMAND_RULE = "command"  # The rule ``command`` mirrors an observed command by 
 RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations"
-# For each left-right mirror rule, ``_NAMES_BY_RULE`` lists the built-in observation functions that use the rule.
+# For each mirror rule, ``_NAMES_BY_RULE`` lists the built-in observations to which the rule applies.
 _NAMES_BY_RULE = {
     "vector": ("base_lin_vel", "root_link_lin_vel", "projected_gravity", "root_pos_w", "root_lin_vel_w"),
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
@@ -84,7 +84,7 @@ COMMAND_RULES: Mapping[str, str] = {
 
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
-    """Return the error for an unknown mirror rule (how an observation term changes in a mirror image)."""
+    """Return the error for an unknown name of a mirror rule in ``agent.symmetry.terms``."""
     expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
     return ConfigError(f"'{rule}' is not a mirror rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
 
@@ -115,8 +115,9 @@ def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedS
     """Return how an IMU's measurement (a vector, pseudovector, or quaternion) changes in a mirror image.
 
     With the mirror matrix M and the rotation R from the IMU's axes to its body's axes, a vector v becomes R^T M R v,
-    and a pseudovector v becomes -R^T M R v. The mirror matrix in the IMU's axes may only have the entries -1, 0, 1.
-    ``mirror_imu`` raises ConfigError unless ``sensor`` is an IMU and its own mirror image.
+    and a pseudovector v becomes -R^T M R v. R^T M R must contain only -1, 0, and 1, so that each mirrored number is
+    plus or minus one measured number. ``mirror_imu`` raises ConfigError unless ``sensor`` is an IMU in the robot's
+    plane of symmetry.
     """
     if not isinstance(sensor, Imu):
         raise ConfigError("the observed sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
@@ -157,8 +158,8 @@ class TermMirror:
     """Applies mirror rules (how an observation term changes in a mirror image) to observation terms.
 
     ``joint_images`` contains the index of each joint's mirror image. ``joint_signs`` contains -1 for each joint whose
-    position changes its sign in the mirror, otherwise 1. ``action`` contains the source index and the sign of each
-    number of a mirrored action vector.
+    position changes its sign in the mirror, otherwise 1. With ``(source, sign) = action[i]``, the mirrored action i is
+    ``sign`` times the action ``source``.
     """
 
     def __init__(
@@ -169,7 +170,7 @@ class TermMirror:
         self._bodies = BodyImages(env.scene.model, robot.body_names, robot.joint_names, joint_images)
 
     def frame(self, rule: Rule, term: ObservationTerm) -> SignedSources:
-        """Return the source index and the sign of each number of a mirrored observation term."""
+        """Return ``(source, sign)`` for each mirrored value of an observation: ``sign`` times the value ``source``."""
         path = term.term.path
         if not isinstance(rule, str):
             return [(i, float(sign)) for i, sign in enumerate(rule)]
@@ -178,7 +179,7 @@ class TermMirror:
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":
-            # In an alternating gait, mirroring shifts the phase by half a cycle, so its sine and cosine flip sign.
+            # In an alternating gait, a mirror shifts the phase by half a cycle, which negates sine and cosine.
             offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
             for offset in offsets:
                 if min(abs((offset + 0.5 - o + 0.5) % 1.0 - 0.5) for o in offsets) > _MAX_PHASE_ERROR:

@@ -55,10 +55,10 @@ class CapturedPPO:
 class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
-    The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. Between
-    policy updates, the optimizer has rsl_rl's settings, so that rsl_rl can save and load the optimizer. A CUDA graph
-    reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is loaded, a
-    new CUDA graph is captured.
+    The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. After
+    each policy update, the optimizer gets rsl_rl's settings back, so that rsl_rl can save and load the optimizer. A
+    CUDA graph reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is
+    loaded, a new CUDA graph is captured.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -74,7 +74,7 @@ class CapturedUpdate:
         self._advantages = torch.zeros_like(storage.returns)
         self._rate = torch.zeros((), device=algorithm.device)
         symmetry = algorithm.symmetry
-        # A mirror loss that is only logged has the weight 0 in the total loss.
+        # If ``use_mirror_loss`` is False, the mirror loss is only logged, and its weight is 0.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
         self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)
@@ -87,7 +87,7 @@ class CapturedUpdate:
         self._advantages.copy_(storage.advantages)
         self._rate.fill_(algorithm.learning_rate)
         self._sums.zero_()
-        # Make Adam run as one kernel that reads the learning rate from the GPU. Store the previous settings of Adam.
+        # Switch Adam to one fused kernel with the learning rate on the GPU, and store Adam's previous settings.
         optimizer = self._algorithm.optimizer
         settings = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
         for group in optimizer.param_groups:
@@ -105,7 +105,7 @@ class CapturedUpdate:
                 self._capture(order)
             self._each(order, self._graph.replay)
         else:
-            # Run the first update on the CUDA stream of the capture, because torch reuses a gradient's first stream.
+            # Use the CUDA stream of the later capture, because torch keeps using the stream of the first gradient.
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -162,7 +162,7 @@ class CapturedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        # Avoid the actor's method `forward`, which makes the CPU wait for the GPU.
+        # Do not call the actor's `forward`, because `forward` makes the CPU wait for the GPU.
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
@@ -238,7 +238,7 @@ class CapturedActing:
         self._graph.replay()
         transition, found = algorithm.transition, self._found
         transition.hidden_states = (None, None)
-        transition.actions = found["actions"].clone()  # The next replay of the CUDA graph overwrites the actions.
+        transition.actions = found["actions"].clone()  # The next graph replay overwrites the original tensor.
         for name in ("values", "actions_log_prob", "distribution_params"):
             setattr(transition, name, found[name])
         transition.observations = observations

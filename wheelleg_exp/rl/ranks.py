@@ -35,10 +35,9 @@ _COMMUNICATION = Path(dist.__file__).parent
 
 
 class FirstRankFailed(WheellegError):
-    """Raised on all processes (ranks) but the first after a training failed; the first rank reports the reason.
+    """The error that all processes (ranks) except the first raise if a training failed; the first reports the reason.
 
-    ``keeps`` is true if NaN or inf ended the training; the first process (rank) then saves a checkpoint of the last
-    iteration.
+    If ``keeps`` is true, NaN or inf ended the training, and the first rank saves a checkpoint of the last iteration.
     """
 
     exit_code = EXIT_FAILED
@@ -77,7 +76,7 @@ def left() -> Left:
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
-    """Return the attributes of an error as text by name; an empty dictionary if ``error`` is None."""
+    """Return an error's message, config key, and further attributes as a dictionary; {} if ``error`` is None."""
     if error is None:
         return {}
     facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
@@ -171,7 +170,7 @@ class Ranks:
         return self.tell_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the trees of tensors, numbers, and text of all processes (ranks); [] except on the first rank."""
+        """Send the state ``tree`` to the first rank. Return all ranks' states on the first rank, and [] elsewhere."""
         if not self.together:
             return [dict(tree)]
         found = self._gathered(checkpoint.serialize(tree), everywhere=False)
@@ -239,8 +238,8 @@ class Ranks:
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
         """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        ``times`` are the keys of scalars that are durations. The first process (rank) gets the merged scalars, and all
-        other ranks get their own scalars.
+        ``times`` has the keys of durations, which are merged to the longest duration. Only the first rank returns
+        merged scalars; all other ranks return their own scalars.
         """
         if not self.together:
             return dict(scalars)
@@ -278,7 +277,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # After an error, skip this call, because it would wait for dead ranks.
+    dist.destroy_process_group()  # not in a `finally` block, because it would wait for dead ranks
 
 
 OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")
@@ -286,7 +285,7 @@ RANKS_KEY = "ranks"
 
 
 def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the states of all processes (ranks) on the first rank, and a rank's own state on every other rank."""
+    """Return ``state``; on the first rank, add the states of all other ranks under the key ``ranks``."""
     parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
     return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
 
@@ -300,7 +299,7 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
     """Return the digests (hashes) of the state of all processes (ranks), and whether all ranks have equal networks.
 
-    Each rank must call ``digests_of_all`` with its own state, or with a part of its own state.
+    Each rank must call ``digests_of_all`` with its own state, because the ranks exchange their digests.
     """
     mine = digests.of_state(state)
     if not ranks.together:

@@ -13,13 +13,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # The scalar `<SCALAR><term's key>` counts episodes that a term's NaN or inf ended.
+SCALAR = "Diagnostics/non_finite/"  # prefix of the scalars that count episodes with NaN or inf
 
 
 class FailureCount:
     """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
-    Each iteration accepts failures in the share ``agent.max_non_finite`` of all environments, and at least one failure.
+    Each iteration accepts ``agent.max_non_finite * num_envs`` episodes with NaN or inf, but at least one.
     """
 
     def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
@@ -57,7 +57,7 @@ _EPISODES = 100  # Mean reward and mean episode length cover the last 100 finish
 
 
 class EpisodeLog:
-    """Collects the rewards and logs of environment steps, and returns scalars with rsl_rl's keys once per iteration."""
+    """Collects rewards and manager logs of all steps, and averages them to scalars such as ``Train/mean_reward``."""
 
     def __init__(self, num_envs: int, device: torch.device | str = "cpu") -> None:
         self._return = torch.zeros(num_envs, device=device)
@@ -105,7 +105,7 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the returns and lengths of episodes, and the values that the next call of ``collect`` will average."""
+        """Return all collected episode returns, lengths, and log values, which a checkpoint saves."""
         self._take_pending()
         ended = {"returns": list(self._returns), "lengths": list(self._lengths)}
         values = {key: list(values) for key, values in self._values.items()}
@@ -142,9 +142,9 @@ REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Termin
 class StepMeans:
     """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
-    The logs of the environment's managers cover only finished episodes, so the logs count robots that fall early more
-    often than robots that stand. ``StepMeans`` gives each environment the same weight in each control step. Checkpoints
-    do not contain the sums of ``StepMeans``, because the sums are empty between iterations.
+    The managers log only finished episodes, so robots that fall early count more often than robots that stand.
+    ``StepMeans`` counts each environment exactly once in each control step. Checkpoints need not save ``StepMeans``,
+    whose sums are empty between iterations.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:

@@ -75,7 +75,7 @@ class Mirror:
         return actions[:, sources] * signs
 
     def _actions(self) -> SignedSources:
-        """Return the indices and signs that mirror an action vector, so that the joint targets are mirrored."""
+        """Return ``(source, sign)`` for each action, so that mirrored actions give mirrored joint targets."""
         manager = self._env.action_manager
         columns: dict[tuple[str, str], int] = {}
         made: list[tuple[str, str, float, float]] = []
@@ -86,7 +86,7 @@ class Mirror:
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
                 raise ConfigError("an action term cannot be mirrored from left to right", key=path, expected=expected)
-            # Process actions of 0 and 1 to find each action's offset and scale, then restore the action term's state.
+            # Find each action's offset and scale by processing the raw actions 0 and 1, then restore the term's state.
             saved, zeros = term.state_dict(), torch.zeros_like(term.raw_actions)
             term.process_actions(zeros)
             offset = term.processed_actions[0].clone()
@@ -136,7 +136,7 @@ class Mirror:
             shown = rule if isinstance(rule, str) else list(rule)
             message = f"the mirror rule {shown} has {len(turned)} numbers, and the term has {width}"
             raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
-        # Raise ConfigError if an observed number and its mirror image differ in clip or scale.
+        # Mirroring is correct only if a value and its mirror image have the same clip and scale.
         clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
         if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
             message = "the bounds are not symmetric, and some numbers change their sign in a mirror"
@@ -185,7 +185,7 @@ def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
 
 
 def is_mirror_loss_only(symmetry: Any) -> bool:
-    """Return whether rsl_rl mirrors samples with ``left_right`` only for its mirror loss, not for data augmentation."""
+    """Return whether ``symmetry`` uses ``left_right`` for the mirror loss, but not for data augmentation."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
     return ours and not symmetry.use_data_augmentation
 

@@ -43,9 +43,9 @@ class Trainer:
     """Trains a policy with the options of the config section ``agent``.
 
     Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
-    torch's global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. ``initial``
-    contains trained networks to start from, but no state of exploration and simulation. Each of the processes ``ranks``
-    has its own trainer.
+    torch's global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. If ``initial`` is
+    given, the training starts with its networks instead of random networks. With several processes (ranks), each
+    process has its own ``Trainer``.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Trainer:
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train until the number of training iterations is ``until``, and yield the result of each iteration.
 
-        If several processes (ranks) train together, each rank must iterate over the results of ``learn``. The first
+        If several processes (ranks) train together, each rank must call ``learn`` and consume its results. The first
         rank yields results of all ranks: scalars are means, steps are sums. A number that is NaN or inf raises
         SimulationFailure: an observation, an action, a number that an event wrote, a loss, a parameter, or physics and
         rewards in more environments than ``agent.max_non_finite`` allows.
@@ -191,7 +191,7 @@ class Trainer:
         return rate | {f"loss.{name}": torch.tensor(float(value)) for name, value in losses.items()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all state that later training iterations depend on; ``iter`` is the last finished iteration."""
+        """Return everything that a checkpoint needs to resume the training; ``iter`` is the last finished iteration."""
         rng = {"torch": torch.get_rng_state()}
         if torch.device(self.device).type not in ("cpu", "meta"):
             rng["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
@@ -236,7 +236,7 @@ class Trainer:
             policy.load_state_dict(own)
 
     def set_learning_rate(self, value: float) -> None:
-        """Set the learning rate of the next policy updates, from which an adaptive schedule starts."""
+        """Set the learning rate of the next policy update; an adaptive schedule may change it later."""
         self.algorithm.learning_rate = value
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = value

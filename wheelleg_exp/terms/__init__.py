@@ -1,4 +1,4 @@
-"""Check the terms of a config against the functions and classes that the terms name, without torch and MuJoCo.
+"""Check that each term of a config fits the signature of its function or class, without importing torch or MuJoCo.
 
 | module | contents |
 |---|---|

@@ -75,7 +75,7 @@ _Options = TypeVar("_Options", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Key:
-    """A key that a config section accepts."""
+    """A valid key of a config section, with its type annotation."""
 
     name: str
     annotation: Any
@@ -94,7 +94,7 @@ def keys_of(options: type) -> dict[str, Key]:
 
 
 def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Check a config section against a dataclass's fields and, if all values are valid, against its rules."""
+    """Return the errors in a config section ``node``; the dataclass ``options`` defines its valid keys and values."""
     keys = keys_of(options)
     errors = []
     for name, value in node.items():
@@ -156,7 +156,7 @@ def _read_value(value: Any, path: str, annotation: Any) -> Any:
 
 
 def read_value(options: type, node: Any, path: str, name: str) -> Any:
-    """Return the value at one key of a config section; all other keys of the section can be missing or wrong."""
+    """Return the value of the key ``name`` in a config section, and ignore errors in all other keys."""
     for error in section_errors(path, node, options):
         if error.key == below(path, name):
             raise error

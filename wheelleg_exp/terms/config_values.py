@@ -22,21 +22,21 @@ _FINITE = "a finite number"
 
 @dataclass(frozen=True)
 class Misfit:
-    """A mistake in one value of the config."""
+    """A mistake in a config value, such as a wrong type or a number out of range."""
 
     message: str
     expected: str
-    # ``keys`` is the path inside a nested config value to the wrong value, or to the list that contains it.
+    # ``keys`` is the path from the checked config value to the wrong value inside it.
     keys: tuple[str, ...] = ()
-    nearest: str | None = None  # ``nearest`` is the valid word that is most similar to the wrong config value.
-    is_type: bool = False  # ``is_type`` is true for a config value of a wrong type, and false for a value out of range.
+    nearest: str | None = None  # a similar valid word
+    is_type: bool = False  # whether the type is wrong
 
 
 def fits(value: Any, annotation: Any) -> bool:
     """Return whether a value from YAML has the type that an annotation names.
 
-    For a float annotation, an int is valid; for int, a bool is invalid; for tuple, a list is valid. For a class or
-    callable annotation, any value is valid, because a nested ``_target_`` node builds the object.
+    For example, an int fits the annotation ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. Any
+    value fits an annotation that is a class or a callable, because a ``_target_`` node builds the object.
     """
     return not misfits(value, annotation)
 
@@ -59,14 +59,14 @@ def require_fit(key: str, value: Any, annotation: Any) -> None:
 
 
 def misfits(value: Any, annotation: Any) -> list[Misfit]:
-    """Return every mistake in a config value; a type annotation defines the valid values."""
+    """Return all mistakes in a config value, such as a text where the type annotation requires a number."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []
     if origin is typing.Annotated:
         return _constrained(value, annotation, arguments[0], constraints_of(annotation))
     if origin in (typing.Union, types.UnionType):
-        # If no member of a Union annotation fits, report the mistakes for the first member that has the value's type.
+        # If the value fits no member of a Union, report the mistakes for the first member with the right basic type.
         found = [misfits(value, option) for option in typing.get_args(annotation)]
         if not all(found):
             return []
@@ -97,7 +97,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
         if not isinstance(value, (list, tuple)):
             return [_wrong_type(value, annotation)]
         return _of_elements(value, annotation, kind, arguments)
-    # A parameter whose annotation is a dataclass needs a config node with ``_target_``, which builds the dataclass.
+    # If the annotation is a dataclass, the config value must be a mapping with ``_target_``.
     built = isinstance(value, Mapping) and "_target_" in value
     if built or not (isinstance(kind, type) and dataclasses.is_dataclass(kind)) or isinstance(value, kind):
         return []
@@ -113,7 +113,7 @@ def constraints_of(annotation: Any) -> list[Constraint]:
 
 
 def constraints_in(annotation: Any) -> list[Constraint]:
-    """Return the constraints of a type annotation, and of its element types and union options."""
+    """Return all constraints in a type annotation, also those of list elements and union members."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
 
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # An error must name the type with its constraints, such as 'a number, at least 0', not only 'a number'.
+    if found:  # Errors must name constraints, too: 'a number, at least 0', not 'a number'.
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -179,7 +179,7 @@ def describe(annotation: Any) -> str:
 
 
 def limit_words(annotation: Any) -> tuple[str, ...]:
-    """Return the constraints of a type annotation as text, without the type."""
+    """Return the constraints of a type annotation as texts, such as ``at least 0``."""
     constraints = constraints_of(annotation)
     words = tuple(c.words() for c in constraints if c.words())
     if not any(c.form for c in constraints):

@@ -25,7 +25,7 @@ def dotted(keys: Iterable[str]) -> str:
 
 
 def below(path: str, key: str) -> str:
-    """Return the config path of the key ``key`` in the config section at ``path``."""
+    """Append a key to a config path: ``env.sim`` and ``device`` give ``env.sim.device``."""
     if re.search(r"[.\[\]]", key):
         return f"{path}[{key}]"
     return f"{path}.{key}" if path else key
@@ -36,7 +36,7 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # ``pipeline`` is the name of a Hydra primary config and of the config section in it.
+PIPELINE = "pipeline"  # ``pipeline`` is a primary config of Hydra with a section of the same name.
 
 
 def names_pipeline(word: str) -> bool:

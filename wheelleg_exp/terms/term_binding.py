@@ -21,20 +21,19 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# ``_OWN_PACKAGES`` are subpackages whose functions and classes (such as terms and sensors) configs can call.
+# Configs can call the functions and classes in ``_OWN_PACKAGES``, such as terms and sensors.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
 class NotAllowed(ConfigError):
-    """A config names a function or class that is outside the allowed packages."""
+    """The error if a config names a function or class outside the packages that configs can call."""
 
 
 def allowed_packages() -> tuple[str, ...]:
     """Return the packages whose functions configs can call: this package's terms, and packages that declare themselves.
 
     A user's package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is the
-    package's name. Installed packages, and the ``pyproject.toml`` of the project whose configs are in use, can declare
-    entry points (see ``wheelleg_exp.packages``).
+    package's name. Entry points can be in installed packages and in the ``pyproject.toml`` of the user's project.
     """
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
@@ -47,7 +46,7 @@ def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call arbitrary code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
-        # Suggest the path ``target`` with its first name replaced by the most similar name of an allowed package.
+        # Suggest ``target`` with a corrected first name, such as ``my_robot.rewards`` for ``my_robt.rewards``.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
         declared = 'or in a package that your project declares (recipe "A term of your own")'
@@ -63,7 +62,7 @@ def is_inside(name: str, packages: tuple[str, ...]) -> bool:
 
 _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # No term can contain Hydra keys such as ``_args_``.
 
-# ``RESERVED`` lists, by config section, a term's keys that the manager reads; a parameter cannot have such a name.
+# For each config section, ``RESERVED`` lists keys that the manager reads and does not pass to the term's function.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),
@@ -75,10 +74,10 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# A missing section ``recorders`` stays missing; every other missing section of terms becomes an empty section.
+# If the section ``recorders`` is missing, no empty section is added to the config.
 OPTIONAL = "recorders"
 
-# FIELD_TYPES has the types of a term's keys that managers read; REQUIRED_FIELDS lists keys that a term must have.
+# ``FIELD_TYPES`` has the types of the keys in ``RESERVED``; ``REQUIRED_FIELDS`` lists keys that a term must have.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
@@ -95,9 +94,9 @@ FIELD_TYPES: dict[str, Any] = {
     "delay": Annotated[Sequence[Natural], Ordered()] | None,
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
-# A user-defined event mode that is nearly equal to a known mode is treated as a misspelling.
+# A user-defined event mode must not be similar to ``EVENT_MODES``: ``resett`` counts as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
-# ``MODE_FIELDS`` maps a field of an event term to the only event mode in which this field has an effect.
+# For example, the field ``interval_range_s`` has an effect only in events with the mode ``interval``.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
 # Managers pass ``env``, ``env_ids``, and ``generator`` to terms, so the config of a term cannot set these arguments.
@@ -110,7 +109,7 @@ _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.Co
 
 
 class NotSelected(ConfigError):
-    """A config contains settings of a term that the config does not select."""
+    """The error if a term in a config has settings but no ``_target_``."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Remove null terms from a config, add missing sections as empty sections, and return the null terms' keys."""
+    """Remove terms with the value null, and return their keys. Replace missing sections by empty mappings."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -154,7 +153,7 @@ def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
 
 
 def split_node(kind: str, path: str, node: Any) -> TermNode:
-    """Split a term's config at the key ``path`` into fields that the manager reads and parameters of the function.
+    """Split a term's config into fields for the manager, such as ``weight``, and parameters for the function.
 
     ``kind`` is the name of the config section that contains the term, such as ``rewards``.
     """
@@ -175,7 +174,7 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
 
 
 def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield ``(path, node)`` of each mapping at or below ``node``; list indices are in brackets."""
+    """Yield ``(path, mapping)`` for each mapping in a config; a path is like ``a.b``, or ``a[0].b`` in a list."""
     if isinstance(node, Mapping):
         yield path, node
         for key, value in node.items():
@@ -191,7 +190,7 @@ def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """Return the keyword arguments with which a ``_target_`` node calls its target."""
+    """Return the keyword arguments in a ``_target_`` node, which are all keys except ``_target_``."""
     for key in node:
         if key in _HYDRA_ONLY:
             expected = f"{TARGET} and its parameters alone"
@@ -226,7 +225,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         nearest = target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public)
         raise ConfigError(f"'{module_name}' has no callable '{attribute}'", key=f"{path}.{TARGET}", nearest=nearest)
-    # Check the package that defines the function or class ``found``, because an allowed module can import foreign code.
+    # Check where ``found`` is defined, because a module in an allowed package can import functions from elsewhere.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
@@ -251,15 +250,15 @@ def resolve_class(name: Any) -> Any:
 
 
 def takes_cfg(target: Callable[..., Any]) -> bool:
-    """Return whether a target is a class whose constructor takes ``(cfg, env)``, like Isaac Lab's terms."""
+    """Return whether ``target`` is a class with the constructor ``(cfg, env)``, as in Isaac Lab."""
     return inspect.isclass(target) and list(inspect.signature(target).parameters)[:2] == _CFG_ENV
 
 
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function or class whose signature lists the parameters that a config can set.
+    """Return the function or class that defines which parameters a term's config can set.
 
-    For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or, without ``__call__``, the class
-    in the annotation of ``cfg``. Return a function, or a class without a constructor ``(cfg, env)``, unchanged.
+    For a class with the constructor ``(cfg, env)``, return its method ``__call__`` if it exists, otherwise the class of
+    ``cfg``. Return all other functions and classes unchanged.
     """
     if not takes_cfg(target):
         return target
@@ -270,7 +269,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cfg_class(target: Callable[..., Any]) -> type | None:
-    """Return the class in the annotation of ``cfg`` in a constructor ``(cfg, env)``; None without such a class."""
+    """Return the type annotation of ``cfg`` in a constructor ``(cfg, env)``; None if the annotation is not a class."""
     made = vars(target).get("__init__") or target.__init__
     found = made.__annotations__.get("cfg")
     if isinstance(found, str):

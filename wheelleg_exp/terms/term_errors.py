@@ -1,7 +1,7 @@
 """Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-The module checks each value in a term's config against the annotation of the function parameter that gets the value.
-``failure`` converts an exception in the code of a term into an error with the term's config key and line.
+Each value in a term's config must fit the type annotation of the function parameter with the same name. ``failure``
+converts an exception in the code of a term into an error with the term's config key and line.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Return the mistakes in those fields of a term node that the term's manager reads."""
+    """Return errors in the fields of a term's config that the manager reads, such as ``weight`` or ``mode``."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
         for name in binding.REQUIRED_FIELDS.get(section, ())
@@ -73,7 +73,7 @@ def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]
         term = binding.TermNode(path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, parameters)
     except ConfigError as error:
         return [error]
-    return parameter_errors("commands", term, target)  # The section "commands" reserves no keys of terms.
+    return parameter_errors("commands", term, target)  # In the section "commands", any parameter name is valid.
 
 
 def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
@@ -115,7 +115,7 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
         return errors
     given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
     if any(value is inspect.Parameter.empty for value in given.values()):
-        return []  # the function _name_errors reports a missing parameter
+        return []  # ``_name_errors`` reports missing parameters
     return [
         ConfigError(broken.message, key=f"{term.path}.{broken.key}", expected=broken.expected)
         for rule in rules_of(target)
@@ -145,7 +145,7 @@ def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
 
 
 def has_target(value: Any) -> bool:
-    """Return whether a value contains a ``_target_`` node."""
+    """Return whether a config value contains the key ``_target_`` at any depth."""
     return any(True for _ in binding.walk_targets(value))
 
 
@@ -153,7 +153,7 @@ def has_target(value: Any) -> bool:
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
     """Convert an exception in the code of a scene part, such as a sensor, into an error at the config key ``path``.
 
-    The error is a SimulationFailure if the scene part was built without errors (``has_worked``), else a ConfigError.
+    The error is a ConfigError, or, if ``has_worked`` is True, a SimulationFailure.
     """
     try:
         yield
@@ -174,9 +174,9 @@ def failure(
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
-    The user's Ctrl-C, and a WheellegError that is not a ConfigError, are returned unchanged. ``failure`` makes a
-    SimulationFailure if an earlier call of the term succeeded (``has_worked``), else a ConfigError. ``what`` names the
-    failed function or class in the error message.
+    A KeyboardInterrupt by the user, and errors of this program other than ConfigError, are returned unchanged. Any
+    other error becomes a SimulationFailure if an earlier call of the term succeeded (``has_worked``), else a
+    ConfigError. ``what`` is the noun for the failed code in the message, such as ``a term``.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)
@@ -193,7 +193,7 @@ def failure(
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
-    """Return a copy of an error, with the term's config path put before ``error.key`` if the key is not a full path."""
+    """Return a copy of ``error`` with a full config key: ``weight`` becomes ``env.rewards.alive.weight``."""
     found = copy.copy(error)
     if found.key is None or not found.key.startswith("env."):
         found.key = f"{path}.{found.key}" if found.key else path

@@ -16,7 +16,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 wrap_to_pi = rotation.wrap_to_pi
-SMALL = 1e-6  # Functions of rotation vectors approximate angles below 1e-6 rad, to avoid a division by 0.
+SMALL = 1e-6  # rad; smaller angles are approximated to avoid a division by 0
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -162,7 +162,7 @@ def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
     x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
     # Each row of the matrix 4 q q^T is a multiple of the quaternion q.
-    # Select the row of 4 q q^T with the largest norm, because normalising a short row is inaccurate.
+    # Normalise the longest row of 4 q q^T, because normalising a short row is inaccurate.
     w_row, x_row = (1.0 + xx + yy + zz, x, y, z), (x, 1.0 + xx - yy - zz, xy, xz)
     y_row, z_row = (y, xy, 1.0 - xx + yy - zz, yz), (z, xz, yz, 1.0 - xx - yy + zz)
     rows = torch.stack([torch.stack(row, dim=-1) for row in (w_row, x_row, y_row, z_row)], dim=-2)
@@ -295,8 +295,8 @@ def create_rotation_matrix_from_view(
 def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
     """Convert distances along pixels' rays to distances along the camera's axis, m.
 
-    ``depth`` has the shape (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1); ``intrinsics``, in pixels, (3, 3) or (N, 3,
-    3).
+    ``depth`` has the shape (H, W), (H, W, 1), (N, H, W), or (N, H, W, 1). The matrix ``intrinsics``, in pixels, has the
+    shape (3, 3) or (N, 3, 3).
     """
     pictures = _pictures(depth)
     matrices = intrinsics.reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""Command terms that draw each axis from a range, and a command without components."""
+"""Base class of commands that draw each component from a range, and a command without components."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class RangedCommand(CommandTerm):
         return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
-        """Set the ranges of a command's components by axis; the component of an axis without a range is 0."""
+        """Store the ranges [low, high] of the command's axes; an axis without a range gets the value 0."""
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        with torch.inference_mode(False):  # Tensors from inference mode cannot be changed in place later.
-            self._bounds = self._present()  # A checkpoint saves the tuple ``_bounds`` only if its tensors change.
+        with torch.inference_mode(False):  # Tensors made in inference mode cannot be changed in place.
+            self._bounds = self._present()
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -66,7 +66,7 @@ class RangedCommand(CommandTerm):
         return self._bounds
 
     def read_settings(self) -> None:
-        """Copy changed command ranges to the tensors of bounds in place, because CUDA graphs refer to these tensors."""
+        """Copy changed ranges into the stored tensors of bounds, whose memory CUDA graphs read."""
         if self.ranges != self._taken:
             for mine, present in zip(self._bounds, self._present(), strict=True):
                 mine.copy_(present)

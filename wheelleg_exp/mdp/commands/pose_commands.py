@@ -193,7 +193,7 @@ class UniformPoseCommand(RangedCommand):
         wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
         present = data.body_quat_w[:, self._body]
         # The dot product of two unit quaternions is cos(angle / 2).
-        # Use atan2 of the sine and the cosine, because the cosine of a small angle hardly changes with the angle.
+        # For small angles, atan2(sin, cos) is more accurate than acos(cos).
         cos = (wanted * present).sum(dim=1).abs()
         sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
         return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))

@@ -30,9 +30,8 @@ class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
     In environments that are drawn as standing, the velocity command is zero. With ``heading_command``, some
-    environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. After a
-    command was drawn, the first call of ``compute`` applies the standing and heading settings. As in Isaac Lab, an
-    observation right after ``reset`` contains the drawn velocity without the standing and heading settings.
+    environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. As in Isaac
+    Lab, an observation right after ``reset`` contains the drawn velocity, even in standing and turning environments.
 
     Args:
         ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
@@ -131,7 +130,7 @@ def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    ``draw`` selects random velocity components that the next call of ``compute`` sets to 0. No target headings exist.
+    This command has no target headings.
 
     Args:
         ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` are means, standard deviations, and probabilities of zero
@@ -279,7 +278,7 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
 
 
 def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Return the integrated distance error, m, and the integrated heading error, rad, of a travel command, (N, 2)."""
+    """Return the integrated distance error (m) and heading error (rad) of a travel command, (N, 2)."""
     term = env.command_manager.get_term(command_name)
     if not isinstance(term, UniformVelocityTravelCommand):
         expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand"

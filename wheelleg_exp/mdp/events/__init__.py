@@ -39,7 +39,7 @@ from wheelleg_exp.mdp.events.resets import (
     reset_scene_to_default,
 )
 
-# ``ABSENT`` maps the names of Isaac Lab's event terms that this package lacks to the reasons.
+# ``ABSENT`` gives the reason why an event term of Isaac Lab does not exist in this package.
 ABSENT = {
     "randomize_rigid_body_scale": "Isaac Lab scales no articulation, and the robot is one",
     "randomize_rigid_body_collider_offsets": "MuJoCo's shapes have a margin and a gap instead, which an asset defines",

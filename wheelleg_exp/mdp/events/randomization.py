@@ -18,7 +18,7 @@ Distribution = Literal["uniform", "log_uniform", "gaussian"]
 Pose = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 PoseRange = Mapping[Pose, Interval]
 POSE = get_args(Pose)
-Pair = Annotated[Sequence[float], Length(2)]  # ``Pair`` is a range, or the mean and standard deviation of a Gaussian.
+Pair = Annotated[Sequence[float], Length(2)]  # [low, high], or [mean, standard deviation] of a Gaussian
 Number = float | torch.Tensor
 
 
@@ -45,10 +45,10 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 
 
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
-    """Return what is wrong with a pair of distribution parameters, or None for a valid pair.
+    """Return the valid form, such as ``[low, high], above 0``, if the parameters ``pair`` are invalid, else None.
 
-    The rules for valid distribution parameters are the same as in Isaac Lab. The string ``least`` is a condition for
-    random factors: ``above 0``, ``at least 0``, or an empty string, which allows negative factors.
+    The rules for valid distribution parameters are the same as in Isaac Lab. ``least`` is the limit of scale factors,
+    ``above 0`` or ``at least 0``, or an empty string for no limit.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -62,10 +62,10 @@ def pair_error(pair: Sequence[float], operation: str, distribution: str, least: 
 def ranges(
     above_0: Sequence[str] = (), at_least_0: Sequence[str] = (), free: Sequence[str] = ()
 ) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
-    """Return a rule that checks an event's ranges against the event's operation and distribution.
+    """Return a function that checks the ranges of an event, such as low <= high, and yields errors.
 
-    With the operation ``scale``, each range named in ``above_0`` must be above 0, and each range named in
-    ``at_least_0`` must be at least 0. A range named in ``free`` can contain negative scale factors.
+    With the operation ``scale``, factors must be above 0 in the ranges ``above_0``, and at least 0 in the ranges
+    ``at_least_0``. Factors in the ranges ``free`` may be negative.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 
@@ -205,7 +205,7 @@ def randomize_rigid_body_com_cumulative(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Add one random offset (m, link axes) per environment to the bodies' present centres of mass.
+    """Shift the centres of mass of the bodies by a random offset per environment, m, in link axes.
 
     If the event runs repeatedly, the offsets of the centres of mass accumulate.
     """
