@@ -20,8 +20,8 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 class Parting:
     """The first difference of a number: the control step, the simulated time (s), and both values.
 
-    ``step`` is None if all control steps in both recordings have equal values, but one recording has additional rows.
-    ``time_s`` is None if the recording contains no simulated times.
+    ``step`` is None if the values differ at no control step that both recordings contain. ``time_s`` is None if the
+    recording contains no simulated times.
     """
 
     step: int | None
@@ -34,8 +34,8 @@ class Parting:
 class NumberDifference:
     """A recorded number that differs between two rerun recordings.
 
-    ``parting`` is the first difference at a control step that both recordings contain. ``largest`` is the largest
-    absolute difference over all control steps that both recordings contain.
+    ``parting`` is the number's first difference, and ``largest`` its largest absolute difference, at control steps that
+    both recordings contain.
     """
 
     name: str
@@ -66,7 +66,7 @@ class RecordingComparison:
         return not (self.different or self.only_first or self.only_second)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result of comparing two rerun recordings as a dictionary that can be written as JSON."""
+        """Return the comparison of two rerun recordings as a dictionary for JSON."""
         return {"is_equal": self.is_equal, **asdict(self)}
 
 
@@ -96,7 +96,7 @@ def _difference(
     (steps_a, a), (steps_b, b) = _series(*first), _series(*second)
     _, at_a, at_b = np.intersect1d(steps_a, steps_b, return_indices=True)
     both_a, both_b = a[at_a], b[at_b]
-    # Compare the bits of floats, so that NaN is equal to NaN, and -0.0 differs from 0.0.
+    # Compare the bits of the recordings' floats, so that NaN equals NaN, and -0.0 differs from 0.0.
     unlike = both_a.view(np.int64) != both_b.view(np.int64)
     if not unlike.any() and np.array_equal(steps_a, steps_b):
         return None

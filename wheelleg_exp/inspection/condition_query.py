@@ -1,9 +1,9 @@
 """Find the times at which a condition such as ``base.pitch > 0.3 and rewards.total < -5`` is true in a recording.
 
 A condition is an expression in Python syntax with names, numbers, comparisons, ``and``, ``or``, ``not``, ``+ - * /``,
-parentheses, and ``abs(…)``. A condition is never executed as Python code. Names that are invalid in Python, such as
-``joints.left-hip.effort``, must be quoted. A condition that is only the name of a recorded number is true in rows where
-this number is not zero. A comparison with NaN is always false.
+parentheses, and ``abs(…)``. The text of a condition is never passed to Python's ``eval``. Names that are invalid in
+Python, such as ``joints.left-hip.effort``, must be quoted. A condition that is only the name of a recorded number is
+true in rows where this number is not zero. A comparison with NaN is always false.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Condition:
             raise _wrong(text, "it contains no recorded name")
 
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the rows in which a condition is true.
+        """Evaluate the condition in each of n recorded rows, and return a boolean array (n,).
 
         ``values`` maps each name in the condition to an array of n values, (n,).
         """
@@ -155,10 +155,9 @@ def _wrong(text: str, reason: str) -> WheellegError:
 
 @dataclass(frozen=True)
 class Hit:
-    """Consecutive recorded frames in which a condition is true.
+    """A group of consecutive recorded frames in which a condition such as ``base.pitch > 0.3`` is true.
 
-    ``around`` contains the frames in which the condition is true, and the requested frames before and after them.
-    ``around`` is None if only frames in which the condition is true were requested.
+    ``around`` contains the hit's frames and the requested frames before and after the hit; None without such a request.
     """
 
     first: Moment
@@ -177,13 +176,12 @@ def find_hits(
 ) -> list[Hit]:
     """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
-    ``Hit.around`` contains the recorded numbers that ``columns`` names, or by default the numbers that the condition
-    uses. If ``around`` is a time, each returned hit also contains the frames that were recorded up to this time before
-    and after the condition was true.
+    ``columns`` names the recorded numbers in ``Hit.around``; by default, these are the numbers in the condition. If
+    ``around`` is a duration, ``Hit.around`` contains the hit's frames and all frames within this duration of the hit.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all recorded times, because ``Hit.around`` can contain frames outside the selected times.
+    # Read all recorded times, because the frames before and after a hit can be outside the selected times.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

@@ -22,13 +22,13 @@ _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 
 @dataclass(frozen=True)
 class Episode:
-    """The recorded part of one episode of one environment.
+    """One episode of one environment, as far as the episode was recorded.
 
-    ``iteration`` and ``first_step`` belong to the first recorded frame of an episode, ``last_iteration`` and
-    ``last_step`` to its last recorded frame. ``iteration`` is None unless a training was recorded. ``duration_s`` is
-    the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or, if an episode's end
-    was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended an episode.
-    ``total_reward`` is the sum of all recorded rewards of an episode.
+    ``first_step`` and ``last_step`` are the control steps of the episode's first and last recorded frame. ``iteration``
+    and ``last_iteration`` are the training iterations at ``first_step`` and ``last_step``; None without a training.
+    ``duration_s`` is the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or,
+    if an episode's end was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended
+    an episode. ``total_reward`` is the sum of all recorded rewards of an episode.
     """
 
     env_id: int
@@ -91,7 +91,7 @@ class _Marks:
         self._fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
         self._steps: NDArray[np.int64] = ends.column(STEP)
         self._step_dt = view.recording.step_dt or 0.0
-        # Old recordings lack the number and step of each episode, and truncated recordings can lack some of them.
+        # Old and truncated recordings can lack the episode's number and the step number within the episode.
         own = view.frames("episode", env_id)
         if own is not None and (len(own) != len(ends) or not set(_OWN) <= set(own.names)):
             own = None

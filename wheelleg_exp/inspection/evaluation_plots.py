@@ -22,12 +22,12 @@ Episodes = Mapping[str, Array]
 # In a map of survival rates, dark red means failure and pale blue means success.
 # In a map of tracking errors, a pale colour means a small tracking error.
 _SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
-_DARK = 0.4  # In a map, numbers are white on cells that are darker than the colour at 0.4 of the colour map.
+_DARK = 0.4  # Numbers are white on dark cells: survival below 0.4, or tracking error above 0.4 of the colour scale.
 _DEGREES = 180.0 / math.pi
 
 
 def panels(episodes: Episodes) -> dict[str, list[Panel]]:
-    """Return plot panels by the name of the test, given the columns ``Evaluation.episodes`` of an evaluation."""
+    """Return the plot panels of each test of an evaluation, by the test's name such as ``walk``."""
     masks = {test: np.asarray(episodes["test"] == test) for test in _TESTS}
     rows = {
         test: {name: column[mask] for name, column in episodes.items()} for test, mask in masks.items() if mask.any()

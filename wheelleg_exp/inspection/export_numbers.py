@@ -44,13 +44,14 @@ def export(
     """Write the numbers of a recording: a folder with one file per group, or one file of selected numbers.
 
     Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, and ``env`` for
-    several environments. Each recorded number has a float64 column. A Parquet file stores the unit of each column in
-    the field's metadata (``unit``), and the recording's properties in the schema's metadata (``wheelleg``). A folder of
-    CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of float64. NaN is
-    written as ``nan``. An empty CSV field means that a number was not recorded at the row's control step.
+    several environments. Each recorded number has a float64 column. A Parquet file stores each column's unit in the
+    field's metadata (``unit``). The Parquet schema's metadata (``wheelleg``) contains the recording's properties. A
+    folder of CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of
+    float64. NaN is written as ``nan``. An empty CSV field means that a number was not recorded at the row's control
+    step.
 
-    If ``terms`` contains dotted names such as ``rewards.base_height``, the numbers are written to one file. The path
-    ``output`` must not exist. A file or folder appears at ``output`` only when its content is complete.
+    If ``terms`` names recorded numbers such as ``rewards.base_height``, one file with only these numbers is written.
+    The path ``output`` must not exist. A file or folder appears at ``output`` only when its content is complete.
     """
     if kind not in KINDS:
         raise WheellegError(f"'{kind}' is not a supported export format", key="--export", expected=" or ".join(KINDS))

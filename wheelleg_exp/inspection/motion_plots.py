@@ -168,7 +168,7 @@ def _over_time(
     target: float | None = None,
     wanted: Series | None = None,
 ) -> Panel | None:
-    # In a training's plot, draw one line per recorded sequence of control steps, from pale (early) to dark (late).
+    # For a training, draw one line per recorded time interval: early intervals are pale, late intervals are dark.
     series = source.maybe(*parts)
     if series is None:
         return None

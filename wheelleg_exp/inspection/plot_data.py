@@ -37,13 +37,13 @@ class Series:
     names: tuple[str, ...]
 
     def rows(self, which: Any) -> Series:
-        """Return a series with only the rows ``which`` of the original series."""
+        """Return a new series with only the rows that the index or mask ``which`` selects."""
         iteration = None if self.iteration is None else self.iteration[which]
         return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
 
     @property
     def first(self) -> Numbers:
-        """The first column of the array ``values``, (n,)."""
+        """The first number in each of the n recorded rows, (n,)."""
         return self.values[:, 0]
 
 
@@ -59,14 +59,14 @@ class Sample:
     iteration: int | None
 
     def of(self, series: Series) -> Series:
-        """Return a series that contains only the rows within the control steps of a sample (recorded sequence)."""
+        """Return the rows of ``series`` from the control step ``first`` to the control step ``last``."""
         return series.rows((series.step >= self.first) & (series.step <= self.last))
 
 
 class Source:
     """Provides the data of a rerun recording for plots.
 
-    The default of ``env`` is the selected environment, or else the first recorded environment.
+    ``env`` is the index of the plotted environment; the default is the environment in ``selection``, or else the first.
     """
 
     def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
@@ -84,11 +84,11 @@ class Source:
         return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
 
     def path(self, *parts: str) -> str:
-        """Return the rerun entity path for an entity of the plotted environment, given the names in the path."""
+        """Join names to the path of a rerun entity of the plotted environment, such as ``env_3/base/height``."""
         return join(self.branch, *parts)
 
     def below(self, *parts: str) -> list[str]:
-        """Return the names of the child entities in the plotted environment, in the recorded order if possible."""
+        """Return the names of a rerun entity's children, such as all joints, in the recorded order if there is one."""
         root = self.path(*parts)
         found, statics = self.children(root), self.recording.static(root)
         order = [str(name) for name in statics.get("terms", statics.get("names", []))]
@@ -129,13 +129,13 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return the selected numbers of a rerun entity; None if the selection has no numbers."""
+        """Return the selected rows of a rerun entity's numbers; None if no selected row contains such numbers."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
 
     def training(self) -> dict[str, tuple[Any, Any]]:
-        """Return the iterations and values of each training scalar, by the scalar's key such as ``Loss/value``."""
+        """Return each training scalar's iterations and values as a dictionary with keys such as ``Loss/value``."""
         head = f"{TRAINING}/"
         found: dict[str, tuple[Any, Any]] = {}
         numeric = (e for e in self._entities if e.startswith(head) and is_numeric(self.recording, e))
@@ -148,7 +148,7 @@ class Source:
 
     @property
     def is_training(self) -> bool:
-        """Whether a training wrote the recording."""
+        """Whether the recording contains training scalars, which only a training records."""
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
@@ -169,14 +169,14 @@ class Source:
         return [samples[i] for i in dict.fromkeys(picked.tolist())]
 
     def clock(self) -> Series | None:
-        """Return a series with one row for every recorded control step of the plotted environment."""
+        """Return a series, such as ``qpos``, with a row for each recorded control step; None without such a series."""
         for parts in (("state", "qpos"), ("base", "height"), ("rewards", "total")):
             if (series := self.maybe(*parts)) is not None:
                 return series
         return None
 
     def fired(self) -> dict[str, Series]:
-        """Return the recorded flags of each termination term, by the term's name."""
+        """Return each termination term's recorded values by name; a value above 0 means that the term fired."""
         found = {name: self.maybe("terminations", name) for name in self.below("terminations")}
         return {name: series for name, series in found.items() if series is not None}
 
@@ -205,7 +205,7 @@ class Source:
 
 
 def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
-    """Return times and values with NaN after each control step in ``ends``, so that plotted lines stop at resets."""
+    """Return a series' times and values for a plot; NaN interrupts the line after each episode end in ``ends``."""
     # matplotlib interrupts a line at NaN.
     cuts = np.union1d(np.flatnonzero(np.isin(series.step, ends)), np.flatnonzero(np.diff(series.step) > 1)) + 1
     cuts = cuts[cuts < len(series.step)]
@@ -216,7 +216,7 @@ def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Nu
 def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
-    """Return the indices of a series' rows within the selected times and training iterations."""
+    """Return the indices of the rows whose time and training iteration ``selection`` includes."""
     if selection.begin is None and selection.end is None and selection.iterations is None:
         return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
@@ -232,7 +232,7 @@ def drawable(values: Any) -> Numbers:
 
 
 def mean_of(values: Any) -> float:
-    """Return the mean of all values that are finite and not too large for a plot axis; 0 if there is no such value."""
+    """Return the mean of the drawable values (finite and not too large for an axis); 0 without drawable values."""
     known = drawable(values)
     known = known[np.isfinite(known)]
     return float(known.mean()) if len(known) else 0.0

@@ -92,7 +92,8 @@ STYLE: Mapping[str, Any] = {
 class Panel:
     """One plot of a figure: its title with the unit, a function that draws into axes, and its height in inches.
 
-    A ``wide`` panel occupies a whole row of the figure. In a figure with fixed size, the panel's height is ignored.
+    A ``wide`` panel occupies a whole row of the figure. In a figure of fixed size, only the ratios of the panels'
+    heights matter.
     """
 
     title: str
@@ -119,7 +120,7 @@ def _saved(figure: Figure) -> Iterator[None]:
 
 
 def colour(index: int) -> str:
-    """Return the plot colour of the curve or bar with the given index, if the order of the indices has no meaning."""
+    """Return the colour of curve number ``index`` in a plot of unordered curves, such as one curve per joint."""
     return PALETTE[index % len(PALETTE)]
 
 
@@ -191,7 +192,7 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return as many panels as fit into a figure; if panels are omitted, the last panel states how many."""
+    """Return at most ``_MOST_PANELS`` panels, followed by a panel that states how many panels are omitted."""
     if len(panels) <= _MOST_PANELS:
         return panels
     beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
@@ -209,7 +210,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # The grid needs a number of columns that is divisible by the number of panels in each row.
+    # For example, rows of 2 panels and rows of 3 panels need a grid with 6 columns.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

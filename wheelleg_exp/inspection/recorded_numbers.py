@@ -24,7 +24,7 @@ QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
 @dataclass(frozen=True)
 class Moment:
-    """The control step, simulated time in s, training iteration, and environment of a recorded row; None if unknown."""
+    """A recorded row's control step, simulated time in s, training iteration, and environment; None if unknown."""
 
     step: int | None
     time_s: float | None
@@ -34,11 +34,11 @@ class Moment:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the finite values of one recorded number; None if no value is finite.
+    """Statistics of one recorded number; the mean, for example, is over finite values, and None without finite values.
 
-    ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation has the divisor
-    n. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile. ``minimum_at`` and
-    ``maximum_at`` are the moments at which the number's minimum and maximum were first recorded.
+    ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation of n values has
+    the divisor n, not n - 1. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile.
+    ``minimum_at`` and ``maximum_at`` are the moments at which the number's minimum and maximum were first recorded.
     """
 
     count: int
@@ -86,7 +86,7 @@ TIMES = (STEP, SIM_TIME, ITERATION)
 
 @dataclass(frozen=True)
 class Frames:
-    """Recorded rows of one environment. ``table`` has the timelines and one float64 column per recorded number."""
+    """Recorded rows of one environment. The columns of ``table`` are timelines and recorded numbers (float64)."""
 
     table: pa.Table
     env_id: int | None
@@ -100,7 +100,7 @@ class Frames:
         return [name for name in self.table.column_names if name not in TIMES]
 
     def column(self, name: str) -> NDArray:
-        """Return the values of a recorded number or a timeline, (n,), by name."""
+        """Return the n values, (n,), of the recorded number or timeline with the given name."""
         return np.asarray(self.table.column(name))
 
     def moment(self, row: int) -> Moment:
@@ -110,24 +110,24 @@ class Frames:
         return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
-        """Return only the recorded frames where ``mask`` is true."""
+        """Return the recorded frames for which the boolean array ``mask`` is true."""
         return Frames(self.table.filter(pa.array(mask)), self.env_id)
 
 
 @dataclass(frozen=True)
 class View:
-    """Gives access to the selected rows of a recording."""
+    """Reads the rows of a recording that ``selection`` includes, such as the rows of one environment."""
 
     recording: Recording
     selection: Selection = field(default_factory=Selection)
 
     @property
     def env_ids(self) -> list[int]:
-        """The indices of the selected recorded environments."""
+        """The indices of the recorded environments that ``selection`` includes."""
         return self.selection.env_ids(self.recording)
 
     def frames(self, group: str, env_id: int) -> Frames | None:
-        """Return one environment's selected rows of a group such as ``rewards``; None if the group has no numbers."""
+        """Return an environment's selected rows of the numbers in a group such as ``rewards``; None without numbers."""
         branch = self.recording.branch(env_id)
         path = f"{branch}/{group}" if branch else group
         if path not in self.recording.groups() and "scalars" not in self.recording.columns(path):
@@ -153,7 +153,7 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list]:
-        """Return the components of a rerun entity that have no time (static), in the first selected environment."""
+        """Return a rerun entity's static data (data without time) in the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
@@ -186,7 +186,7 @@ def find_number(recording: Recording, name: str, env_id: int | None = None, key:
 
 
 def frames_for(recording: Recording, names: Iterable[str], selection: Selection, key: str = "--term") -> list[Frames]:
-    """Return the selected rows of the recorded numbers with the given names, for each selected environment."""
+    """Return the selected rows of the recorded numbers ``names``, separately for each selected environment."""
     words, found = list(dict.fromkeys(names)), []
     for env_id in selection.env_ids(recording):
         numbers = [find_number(recording, name, env_id, key) for name in words]
@@ -212,7 +212,7 @@ class NumberEntry:
 
 
 def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """List all recorded numbers of one environment, and all numbers that belong to no environment, by name."""
+    """Return all numbers of one environment, and numbers of no environment such as training scalars, by name."""
     return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
 
 

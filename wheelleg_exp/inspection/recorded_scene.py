@@ -136,7 +136,7 @@ def scene_of(source: Source) -> Scene:
 def motion_of(source: Source, scene: Scene) -> Motion:
     """Return the recorded motion of a scene, in which the last finite pose replaces NaN and inf.
 
-    ``motion_of`` raises RunDirectoryError if the bodies have no common control step.
+    ``motion_of`` raises RunDirectoryError if no control step contains the poses of all bodies.
     """
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
     # Use only control steps with recorded poses of all bodies, because a truncated recording can lack some poses.
@@ -164,12 +164,12 @@ def source_body(source: Source, name: str) -> str:
 
 
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
-    """Return the indices of a motion's frames that belong to a sample (recorded sequence of control steps)."""
+    """Return the indices of the motion's frames from the first to the last control step of a recorded interval."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
 
 
 def _root(source: Source, names: list[str]) -> int:
-    """Return the index of the recorded base body, or else of the body whose height is nearest to the base height."""
+    """Return the base body's index; if the base's name was not recorded, find the body at the base's height."""
     known = _property(source, "root")
     if known and str(known[0]) in names:
         return names.index(str(known[0]))
@@ -247,7 +247,7 @@ def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
 
 
 def _vectors(table: pa.Table, name: str, width: int) -> Numbers:
-    """Return the first vector in each row of a rerun component, (n, width). An empty row becomes NaN."""
+    """Return the first vector of each of n table rows, (n, width); NaN for an empty row."""
     rows = [row[:1] if len(row) else np.full((1, width), np.nan) for row in _ragged(table, name, width)]
     return np.concatenate(rows) if rows else np.empty((0, width))
 
@@ -273,7 +273,7 @@ _LOOKED_AT = 12
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with constant direction and constant distance, m, that looks at a moving target, (n, 3), m."""
+    """A camera of constant direction that follows the moving point ``lookat``, (n, 3), m, at a constant distance, m."""
 
     distance: float
     lookat: Array

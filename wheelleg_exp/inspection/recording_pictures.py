@@ -49,8 +49,9 @@ def scenery(
 ) -> Scenery:
     """Return the drawable scene and the motion of one recorded environment.
 
-    If ``env`` is None, the scene shows the environment in which the recorded number ``at`` was nonzero first, or else
-    the first environment. If ``iteration`` is given, only this training iteration is searched for nonzero values.
+    Without ``env``, the scene shows the environment in which the recorded number ``at`` is nonzero first. Without
+    ``env`` and ``at``, the scene shows the first environment. ``iteration`` restricts the search for nonzero values of
+    ``at`` to one training iteration.
     """
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
@@ -76,14 +77,14 @@ def screenshot(
 ) -> float:
     """Write a picture of the robot atomically and return the picture's simulated time, s.
 
-    ``time_s`` is the simulated time of the picture, s, from the start of the recording or of the training iteration
-    ``iteration``. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a
+    ``time_s`` is the picture's simulated time, s; if ``iteration`` is given, time 0 is the start of this training
+    iteration. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a
     recorded number, such as ``terminations.base_contact``, the picture shows the first time at which this number is
     nonzero. If ``time_s`` and ``at`` are None, the picture shows the middle of the training iteration ``iteration``. If
     ``time_s``, ``at``, and ``iteration`` are None, the picture shows the middle of the last recorded sequence of
-    control steps. If ``env`` is None, the picture shows the environment in which the recorded number ``at`` was nonzero
-    first, or else the first environment. ``screenshot`` raises WheellegError for an invalid time, picture size, or
-    path.
+    control steps. Without ``env``, the picture shows the environment in which the recorded number ``at`` is nonzero
+    first. Without ``env`` and ``at``, the picture shows the first environment. ``screenshot`` raises WheellegError for
+    an invalid time, picture size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -169,7 +170,7 @@ def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None
 
 
 def sample_at(shown: Scenery, iteration: int) -> Sample:
-    """Return the recorded control steps of a training iteration. Raise WheellegError if no step was recorded."""
+    """Return the recorded interval that contains a training iteration; raise WheellegError if there is none."""
     motion = shown.motion
     if motion.iteration is not None:
         for sample in shown.samples:

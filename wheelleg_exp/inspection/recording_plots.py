@@ -33,8 +33,8 @@ _STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
 class Plot:
     """A predefined plot: its name, its title, and a function that returns the plot's panels (none without data).
 
-    ``is_of_all`` is true if a figure shows training scalars, which cover all environments. ``is_of_last`` is true if a
-    figure shows only a training's last recorded sequence of control steps (sample).
+    ``is_of_all`` is true if the plot shows training scalars, which are not specific to one environment. ``is_of_last``
+    is true if the plot of a training shows only its last recorded interval.
     """
 
     name: str
@@ -113,8 +113,8 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    If ``terms`` is empty, the figure shows the robot's motion, or training curves if all recordings are of trainings.
-    ``overlay`` raises RunDirectoryError if ``terms`` is empty and the recordings have no numbers for default panels.
+    Without ``terms``, the figure shows training curves if every recording is of a training, otherwise the robots'
+    motions. ``overlay`` raises RunDirectoryError if the recordings contain no number to plot.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
@@ -126,7 +126,7 @@ def overlay(
         common = [f"{TRAINING}/{key}" for key in plots_training.CURVES if not key.startswith("Perf/")]
     panels = [panel for term in common for panel in _overlaid(sources, term, small=True)]
     if not panels:
-        raise RunDirectoryError("the recordings contain none of the numbers that a default plot shows")
+        raise RunDirectoryError("the recordings contain neither training curves nor motions to plot")
     return tile(panels)
 
 
@@ -147,7 +147,7 @@ def require_path(path: Path) -> str:
 def _term(source: Source, term: str) -> list[Panel]:
     entity = source.find(term)
     if entity is None:
-        source.series(source.path(*term.split(".")))  # Raise an error: no recorded number has the name `term`.
+        source.series(source.path(*term.split(".")))  # Raise the error that no recorded number has the name `term`.
         return []
     if entity.startswith(f"{TRAINING}/"):
         series = source.series(entity)
@@ -166,7 +166,7 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
     if not found:
         if small:
             return []
-        next(iter(sources.values())).series(term)  # Raise an error: no recorded number has the name `term`.
+        next(iter(sources.values())).series(term)  # Raise the error that no recorded number has the name `term`.
     series = {label: sources[label].series(entity) for label, entity in found.items()}
     names = max(series.values(), key=lambda s: s.values.shape[1]).names
     word = term.removeprefix(f"{TRAINING}/")

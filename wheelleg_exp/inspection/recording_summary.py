@@ -40,10 +40,10 @@ class Trend:
 
 @dataclass(frozen=True)
 class Sample:
-    """Statistics of the episodes of all environments in one sample; a training is recorded in parts, called samples.
+    """Statistics of the episodes of all environments in one sample, that is, in one of a training's recorded intervals.
 
-    ``iteration`` and ``first_step`` describe the first recorded frame, ``last_iteration`` and ``last_step`` the last
-    recorded frame. ``episodes`` counts complete episodes, ``cut`` counts incomplete episodes. ``survival`` is the share
+    ``iteration`` and ``last_iteration`` are the training iterations at the control steps ``first_step`` and
+    ``last_step``. ``episodes`` counts complete episodes, ``cut`` counts incomplete episodes. ``survival`` is the share
     of complete episodes that reached the time-out. ``mean_duration_s`` and ``mean_reward`` are means over complete
     episodes; None if no episode is complete.
     """
@@ -79,11 +79,10 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 
 
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
-    """Group a training's recorded episodes by the recorded interval of control steps that contains the episodes.
+    """Group a training's recorded episodes by recorded interval (sample), and return the statistics of each sample.
 
-    ``longest`` is the maximum episode length in control steps. In each recorded interval of a training, the recording
-    of each environment starts with the environment's next episode, and the recordings of all environments start within
-    ``longest`` control steps.
+    ``longest`` is the maximum episode length in control steps. When a sample starts, the recording of each environment
+    waits for its next reset, at most ``longest`` control steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -125,7 +124,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Part:
-    """The numbers of rerun entities and of recorded rows below one entity path, for all environments together."""
+    """One part of a recording, such as ``joints``, with its numbers of rerun entities and rows in all environments."""
 
     name: str
     entities: int
@@ -134,7 +133,7 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Statistics of recorded episodes; all attributes from ``failed`` on cover only complete episodes.
+    """Statistics of recorded episodes; ``failed`` and all attributes after ``failed`` cover only complete episodes.
 
     ``begun_before`` is the number of episodes that were running when recording started. ``unfinished`` is the number of
     episodes that were running when recording paused or stopped. In ``ended_by``, an episode with two simultaneous
@@ -158,12 +157,12 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None for a recording that another program wrote. For a training, ``sample`` is the last recorded part
-    of the training with a complete episode, and all statistics cover this part. If the recording is not of a training,
-    or the user selected times or iterations, ``sample`` is None, and all statistics cover the selected rows.
-    ``Summary.frames`` contains two counts: the recorded frames that the summary's statistics cover, and all recorded
-    frames. ``notes`` are messages about the recording itself, such as a size limit that was reached. ``base`` contains
-    statistics of the base's height (m), roll, and pitch (rad).
+    ``purpose`` is None for a recording that another program wrote. For a training, all statistics cover ``sample``, the
+    training's last recorded interval with a complete episode. If the user selected rows, or the recording is not of a
+    training, ``sample`` is None, and the statistics cover all selected rows. ``Summary.frames`` contains two counts:
+    the recorded frames that the summary's statistics cover, and all recorded frames. ``notes`` are messages about the
+    recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
+    roll, and pitch (rad).
     """
 
     path: str
@@ -197,8 +196,8 @@ class Summary:
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
     """Return the summary of a recording, in which data that was not recorded is None or an empty list.
 
-    Statistics cover the rows that ``selection`` selects. Without ``selection``, training scalars cover the whole
-    training; statistics of the robot's motion cover only the training's last recorded part (``Summary.sample``).
+    ``selection`` selects the rows of the recording that the statistics cover. By default, training scalars cover the
+    whole training; motion statistics cover only its last recorded interval (``Summary.sample``).
     """
     with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
         return _summary(View(recording, selection or Selection()))

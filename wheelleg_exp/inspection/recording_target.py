@@ -27,7 +27,7 @@ class Target:
 
     @property
     def status(self) -> str | None:
-        """The status of the training run, or None for a file that is not the recording of a run's training."""
+        """The training run's status, such as ``running``; None if the file is not the recording of a training."""
         from wheelleg_exp.run.run_list import effective_status
 
         if self.run is None or self.path.resolve() != self.run.recording.resolve():
@@ -38,14 +38,14 @@ class Target:
     def resting(self) -> Iterator[None]:
         """Lock the recording's run directory inside a ``with`` block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
-        # A user who cannot write the run's lock file cannot resume the training, so this user needs no lock.
+        # A user without write access to the run's lock file cannot resume the run, and therefore needs no lock.
         with ExitStack() as stack:
             if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
                 stack.enter_context(RunLock(run).held())
             yield
 
     def others(self) -> list[Path]:
-        """Return the paths of all other recordings of the run that wrote the target recording."""
+        """Return the paths of all recordings of the same run except this recording."""
         found = recordings_of(self.run) if self.run is not None else []
         return [path for path in found if path.resolve() != self.path.resolve()]
 

@@ -225,8 +225,8 @@ def has_display() -> bool:
 def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
     """Serve a recording in rerun's web viewer on the loopback address, until Ctrl-C raises KeyboardInterrupt.
 
-    The function ``say`` prints lines for the user, of which the first ends with the viewer's URL. The port 0 means a
-    free port. If ``browser`` is true, an installed browser opens the viewer's URL.
+    The function ``say`` prints lines for the user; the first line ends with the viewer's URL. With port 0, the server
+    uses a free port. If ``browser`` is true, an installed browser opens the viewer's URL.
     """
     with WebViewer(path, port) as running:
         say(f"the viewer is at {running.url}")
@@ -256,7 +256,7 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, rerun's viewer starts, but soon exits.
+            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, rerun's viewer exits after its start.
                 process.wait(_ENDING_S)
             if process.returncode is not None:
                 raise _no_graphics(log) from error

@@ -1,4 +1,4 @@
-"""Select rows of a recording, and parse lengths of time such as ``0.5s``, ``200ms``, ``30steps``."""
+"""Select rows of a recording by environment, iteration, and time; parse durations such as ``0.5s`` or ``30steps``."""
 
 from __future__ import annotations
 
@@ -50,8 +50,9 @@ def parse_length(text: str, key: str) -> Length:
 class Selection:
     """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
-    If an attribute of ``Selection`` is None, the attribute does not restrict the selected rows. Bounds ``begin`` and
-    ``end`` in seconds are moved to the nearest control step, so that users can enter rounded times.
+    An attribute of ``Selection`` that is None restricts nothing; ``env_id=None``, for example, selects all
+    environments. ``begin`` and ``end`` in seconds have a tolerance of half a control step, so that users can enter
+    rounded times.
     """
 
     env_id: int | None = None
@@ -61,7 +62,7 @@ class Selection:
 
     @property
     def is_all(self) -> bool:
-        """Whether a selection contains all rows of the recording."""
+        """Whether all rows of a recording are selected, because no attribute restricts the selection."""
         return self == Selection()
 
     def env_ids(self, recording: Recording) -> list[int]:
@@ -72,7 +73,7 @@ class Selection:
         return [self.env_id]
 
     def apply(self, table: pa.Table) -> pa.Table:
-        """Return the selected rows of a table that has the columns ``step``, ``sim_time`` (s), and ``iteration``."""
+        """Return the rows of ``table`` whose ``step``, ``sim_time`` (s), and ``iteration`` the selection includes."""
         mask = np.ones(len(table), dtype=bool)
         if self.iterations is not None:
             values = _timeline(table, ITERATION, "--iteration")
@@ -85,16 +86,16 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether a recorded row with the given control step, time, and training iteration is selected."""
+        """Return whether the selection includes a row with the given control step, time, and training iteration."""
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
-        except WheellegError:  # A row without a time (iteration) is outside every range of times (iterations).
+        except WheellegError:  # The selection restricts times or iterations, but this row has no time or no iteration.
             return False
 
 
 def nothing_chosen(recording: Recording) -> WheellegError:
-    """Return an error that says that no recorded row is selected, and that names the recorded times and iterations."""
+    """Return the error for a selection without rows, which tells the user the recorded times and iterations."""
     words = {SIM_TIME: "times from {:.3f} to {:.3f} s", STEP: "steps {:.0f} to {:.0f}"}
     words[ITERATION] = "iterations {:.0f} to {:.0f}"
     spans = [text.format(*reach) for name, text in words.items() if (reach := recording.reach(name)) is not None]

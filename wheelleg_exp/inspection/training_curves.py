@@ -30,7 +30,7 @@ CURVES = (
     "Perf/total_fps",
 )
 # Training scalars whose keys start with a prefix in `_ERRORS`, such as "Metrics/", are command tracking errors.
-# If a training logged scalars with several prefixes in `_ERRORS`, only scalars with the first prefix are plotted.
+# If scalars with several of the prefixes in `_ERRORS` exist, only those with the first prefix are plotted.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
@@ -65,8 +65,8 @@ def endings(scalars: Scalars) -> list[Panel]:
 def reward_course(scalars: Scalars) -> list[Panel]:
     """Return plot panels of the weighted reward terms over the training, and of the reward terms' last values.
 
-    The training scalar of a reward term is the sum over an episode, divided by the maximum episode duration. If
-    episodes end early, the training scalar of a reward term is smaller than the recorded reward per second.
+    The training scalar of a reward term is the sum over an episode, divided by the maximum episode duration. If an
+    episode ends after half the maximum duration, the training scalar is half the mean reward per second.
     """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
@@ -112,7 +112,7 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 
 
 def smooth(values: Numbers) -> Numbers:
-    """Return a centred moving mean over 1/40 of all values, and over fewer values near the first and last values."""
+    """Return a centred moving mean; its window contains 1/40 of all values, but fewer at the ends of the curve."""
     half = max(1, len(values) // _WINDOWS // 2)
     known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
@@ -124,7 +124,7 @@ def smooth(values: Numbers) -> Numbers:
 
 
 def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
-    """Draw a curve over training iterations; a curve with many points is pale, below a curve of its moving mean."""
+    """Draw a curve over training iterations; draw a long curve in a pale colour, and its moving mean on top."""
     values = drawable(y)
     if len(values) >= _SMOOTHED_FROM:
         axes.plot(x, values, color=shade, linewidth=0.8, alpha=0.3)

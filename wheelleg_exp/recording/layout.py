@@ -56,12 +56,12 @@ def join_key(root: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """The rerun entity paths of one environment, with the prefix ``branch`` if several environments are recorded."""
+    """Builds one environment's rerun entity paths; ``branch`` is their prefix, such as ``env_3``, and can be empty."""
 
     branch: str
 
     def data(self, *parts: str) -> str:
-        """Return the path, in a rerun recording, of numbers or texts of an environment."""
+        """Return the rerun entity path of the environment's numbers or texts, such as ``env_3/base/height``."""
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:
@@ -69,7 +69,7 @@ class EnvPaths:
         return join(WORLD, self.branch, name, *parts)
 
     def overlay(self, *parts: str) -> str:
-        """Return the rerun entity path of an overlay in the 3D view, such as arrows or colliders."""
+        """Return the rerun entity path of arrows, colliders, or other overlays in the 3D view."""
         return join(OVERLAY, self.branch, *parts)
 
 
@@ -85,6 +85,6 @@ def unit(entity: str) -> str | None:
 
 
 def key_below(root: str, entity: str) -> str | None:
-    """Return a scalar's key from its rerun entity path (inverse of ``join_key``); None for a path outside ``root``."""
+    """Convert a rerun entity path below ``root`` to a scalar's key such as ``Loss/value``; None for other paths."""
     head = f"{root}/"
     return entity.removeprefix(head).replace("\\", "") if entity.startswith(head) else None

@@ -45,7 +45,7 @@ class Sample:
         self._is_in_episode = False
 
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
-        """Start or resume a sample (recorded episodes), of which ``taken`` control steps are already recorded.
+        """Start or resume the recording of complete episodes, of which ``taken`` control steps are already recorded.
 
         After ``enough`` control steps, recording stops at the end of the current episode. If ``enough`` is 0, nothing
         is recorded. After ``most`` control steps, recording stops at once, even in the middle of an episode.
@@ -55,12 +55,12 @@ class Sample:
         self._is_in_episode = is_in_episode and enough > 0
 
     def takes(self, episode_step: int) -> bool:
-        """Return whether to record the control step ``episode_step`` of an episode, whose first step is number 1."""
+        """Return whether to record a control step; ``episode_step`` is its number within the episode, from 1."""
         begins = episode_step == 1 and self._taken < self._enough
         self._is_in_episode = (self._is_in_episode or begins) and self._taken < self._most
         return self._is_in_episode
 
     def took(self, *, ends: bool) -> None:
-        """Count a recorded control step. ``ends`` is true if the control step ended the episode."""
+        """Count a recorded control step; ``ends`` is true for the last control step of an episode."""
         self._taken += 1
         self._is_in_episode = not ends

@@ -32,7 +32,7 @@ def rerun_program() -> str:
 def run_rerun(*words: str) -> tuple[str | None, list[str]]:
     """Run ``rerun rrd`` with arguments.
 
-    Return the reason why rerun's program failed, or None, and the lines of rerun's log.
+    Return the reason for a failure (None if rerun succeeded), and the lines of rerun's log.
     """
     command = [rerun_program(), "rrd", *words]
     try:
@@ -48,7 +48,7 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 
 
 def optimize_recording(path: Path) -> str | None:
-    """Compress a closed recording to about a third of its size. Return why the recording was not compressed, or None.
+    """Compress a closed recording to about a third of its size. Return the reason if compression failed, else None.
 
     Compression does not change the recorded values. The compressed file atomically replaces the original file. If the
     disk is full or rerun's program is missing, the recording remains unchanged and without an index.

@@ -2,11 +2,11 @@
 
 rerun's SDK encodes and decodes the messages themselves.
 
-An rrd file consists of a header of 12 bytes and messages. A message consists of a kind (u64), a length (u64), and the
-number of bytes that the length states. A closed rrd file ends with a message that contains an index, and with 32 bytes
+An rrd file consists of a header of 12 bytes and messages. A message consists of its kind (u64), the length of its
+content in bytes (u64), and its content. A closed rrd file ends with a message that contains an index, and with 32 bytes
 that contain the index's position.
 
-To extend a recording, rerun's SDK writes a temporary file, whose messages, without the index, are appended to the
+To extend a recording, rerun's SDK writes new messages to a temporary file; all but the index are appended to the
 recording. Measured with rerun 0.41:
 
 - The file stream of rerun's SDK leaves two threads and about 1 MB in the process for ever, and never returns when the
@@ -46,7 +46,7 @@ class Message(NamedTuple):
 
 
 class RrdFile:
-    """Reads an rrd file up to the size that the file had when it was opened, or at the last call of ``refresh``."""
+    """Reads an rrd file that can grow; bytes that are added after opening are ignored until ``refresh`` is called."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_RDONLY)
@@ -58,7 +58,7 @@ class RrdFile:
         self.size = os.fstat(self._descriptor).st_size
 
     def read(self, begin: int, end: int) -> bytes:
-        """Return the bytes of the rrd file from ``begin`` to ``end``, or up to the end of a truncated file."""
+        """Return the file's bytes from ``begin`` to ``end``; return fewer bytes if the file is shorter."""
         return os.pread(self._descriptor, end - begin, begin)
 
     @property
@@ -67,7 +67,7 @@ class RrdFile:
         return self.read(0, HEADER_SIZE)
 
     def messages(self, begin: int = HEADER_SIZE) -> Iterator[Message]:
-        """Yield the complete messages of the rrd file from an offset up to the index or an incomplete message."""
+        """Yield complete messages from the offset ``begin`` on, up to the index or up to an incomplete message."""
         while begin + _HEAD.size <= self.size:
             head = self.read(begin, begin + _HEAD.size)
             if len(head) < _HEAD.size:
@@ -88,7 +88,7 @@ class RrdFile:
         return _FOOTER_MARK in self.read(last.end, self.size)
 
     def is_followed_by_damage(self, last: Message | None) -> bool:
-        """Return whether the bytes after the rrd file's last complete message cannot be the start of a message."""
+        """Return whether the last complete message is followed by bytes that cannot be the start of a message."""
         begin = HEADER_SIZE if last is None else last.end
         rest = self.read(begin, begin + _FOOTER_SIZE + 1)
         if last is not None and last.kind == INDEX:

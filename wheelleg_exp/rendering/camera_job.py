@@ -29,12 +29,12 @@ class CameraOrder:
     width: int
     height: int
     clipping_range: tuple[float, float]
-    layers: Sequence[Layer]  # The layer depth is along the camera's axis, m; inf and the geom id -1 mean no surface.
+    layers: Sequence[Layer]  # Depth is measured along the camera's axis, m; depth inf or geom id -1 means no surface.
 
 
 @dataclass(frozen=True)
 class Poses:
-    """The joint positions (n, nq) of n simulations, each of which gets a picture per layer (colour, depth, geom)."""
+    """The joint positions (n, nq) of n simulations; each simulation gets one picture per layer, such as depth."""
 
     qpos: Array
 

@@ -23,7 +23,7 @@ _SAMPLES = 4
 class LivePictures:
     """Draws a compiled MuJoCo scene at given joint positions; the camera follows the body ``root`` at a fixed distance.
 
-    The process that draws starts with the first picture and stops when ``close`` is called.
+    A child process draws the pictures; it starts with the first picture, and ``close`` stops it.
     """
 
     def __init__(self, model: mujoco.MjModel, root: str, width: int, height: int) -> None:
@@ -34,7 +34,7 @@ class LivePictures:
         self._started = False
 
     def draw(self, qpos: Array) -> NDArray[np.uint8]:
-        """Return a picture (height, width, 3) at joint positions (nq,); raise an error if graphics do not work."""
+        """Return a picture (height, width, 3) at joint positions (nq,); raise WheellegError if drawing fails."""
         qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
         if not self._started:
             scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))

@@ -22,7 +22,7 @@ class Shape:
     """One shape in the frame of its body: box, ellipsoid, cylinder, capsule, or mesh."""
 
     kind: str
-    # A box has half edges as its size (m), an ellipsoid semi-axes, a cylinder or capsule a radius and a half length.
+    # ``size``, m: half edges of a box, semi-axes of an ellipsoid, radius and half length of a cylinder or capsule
     size: tuple[float, ...]
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
@@ -75,7 +75,7 @@ class Scene:
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, that enclose the robot with body positions (B, 3), m, and orientations (B, 4), wxyz."""
+    """Return points (n, 3), m, that enclose the robot at body positions (B, 3), m, and orientations (B, 4), wxyz."""
     corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 

@@ -39,7 +39,7 @@ class NoGraphics(WheellegError):
 
 
 class GraphicsWorker(Worker):
-    """A worker process that uses a graphics driver; MuJoCo writes its log into the folder of the worker."""
+    """A child process that draws with a graphics driver; MuJoCo writes its log file into ``folder``."""
 
     def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
         super().__init__(module, order, _environment(backend), errors, folder)
@@ -61,7 +61,7 @@ class Drawing:
         self.backend = worker.backend
 
     def draw(self, view: View) -> NDArray[np.uint8]:
-        """Return a view of the scene, (height, width, 3); raise SimulationFailure if the graphics driver failed."""
+        """Return a picture of the scene, (height, width, 3); raise SimulationFailure if the graphics driver failed."""
         return np.frombuffer(self._worker.ask(view, int(np.prod(self._size))), dtype=np.uint8).reshape(self._size)
 
 

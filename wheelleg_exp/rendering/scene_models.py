@@ -32,7 +32,7 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the scene of a compiled MuJoCo model; the scene has all bodies of the model except the world, in order.
+    """Return the drawable scene of a compiled MuJoCo model: all its bodies except the world, in the model's order.
 
     The camera of the scene follows the body ``root``; ``size`` is the height of the robot, m.
     """
@@ -75,7 +75,7 @@ def is_plane(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's drawn geoms (visual geoms, or colliders of a body without visual geoms) and hidden colliders."""
+    """Return a body's drawn geoms and hidden colliders; without visual geoms, the colliders are drawn."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -108,7 +108,7 @@ def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
     start = int(model.hfield_adr[field])
     height = model.hfield_data[start : start + rows * columns] * elevation
     x, y = np.meshgrid(np.linspace(-radius_x, radius_x, columns), np.linspace(-radius_y, radius_y, rows))
-    # Each cell of the height field becomes two triangles; ``low`` has the index of each cell's first vertex.
+    # Split each cell of the height field into two triangles; ``low`` contains the index of each cell's first vertex.
     low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
     vertices = np.column_stack((x.ravel(), y.ravel(), height))
@@ -164,9 +164,9 @@ _SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a scene; its mocap bodies are the light's body and then the scene's bodies.
+    """Return the compiled MuJoCo model of a scene; its first mocap body carries the light, the others are scene bodies.
 
-    ``samples`` is the number of samples per pixel against jagged edges; 0 if the driver supports only one sample.
+    ``samples`` is the number of multisamples per pixel; 0 disables multisampling for drivers that lack it.
     """
     spec = mujoco.MjSpec()
     _look(spec, scene.size, width, height, samples)

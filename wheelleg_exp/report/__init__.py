@@ -38,11 +38,11 @@ def make_report(
 ) -> Report:
     """Write the HTML report of one run, or one report that compares several runs.
 
-    Each item of ``run`` is the path or id of a training run, ``latest``, the folder of a zero or random agent's run, or
-    a sweep. The default report file is ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for
+    ``run`` names one or more training runs (path, id, or ``latest``), sweeps, or folders of zero or random agents'
+    runs. The default report file is ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for
     several runs. ``command`` is the command line that the run's manifest records. If ``pictures`` is true, the report
-    shows pictures of the robot. ``make_report`` raises WheellegError if a run does not exist, if the report cannot be
-    written, or if the report's path is a file that is not a report of the run.
+    shows pictures of the robot. ``make_report`` raises WheellegError if a run does not exist or the report cannot be
+    written. ``make_report`` overwrites only an earlier report of the same run.
     """
     from wheelleg_exp.report.pictures_section import Look
     from wheelleg_exp.report.provenance_section import judge

@@ -18,7 +18,7 @@ TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "ba
 
 
 def played(subject: Subject) -> dict[str, Any]:
-    """Return the metrics of a run's last ``wheelleg play``, or of a zero or random agent's run; can be empty."""
+    """Return the metrics of the last ``wheelleg play`` or of a zero or random agent's run; {} without metrics."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
         return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
@@ -74,7 +74,7 @@ def target_height(subject: Subject) -> float | None:
 
 
 def time_outs(subject: Subject) -> list[str]:
-    """Return the names of those termination terms that end an episode because its time is over."""
+    """Return the names of the termination terms with the config value ``time_out: true``."""
     terms = subject.setting("env.terminations")
     found = terms.items() if isinstance(terms, Mapping) else ()
     return [str(name) for name, term in found if isinstance(term, Mapping) and term.get("time_out")]

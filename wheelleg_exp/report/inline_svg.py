@@ -1,6 +1,6 @@
 """Draw matplotlib plots as SVG inside an HTML page.
 
-``drawn`` draws each panel of a plot as its own SVG, narrow enough for a phone; HTML text shows the panel's title.
+``drawn`` draws each plot panel as a separate SVG that fits a phone screen; the panel's title becomes HTML text.
 ``clean`` makes an SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference
 leaves the page.
 """
@@ -39,10 +39,10 @@ _FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\"
 
 
 def clean(svg: str, prefix: str, title: str) -> str:
-    """Return an SVG text without prolog, scripts, links, and foreign styles; raise ValueError for text that is not SVG.
+    """Remove prolog, scripts, links, and foreign styles from an SVG text; raise ValueError if it is not SVG.
 
     ``prefix`` is prepended to the ids in the SVG, so that two drawings on a page have different ids. ``title``
-    describes the drawing for readers who do not see the drawing.
+    describes the drawing for screen readers.
     """
     try:
         root = ElementTree.fromstring(re.sub(r"<!DOCTYPE[^>\[]*>", "", svg))
@@ -99,7 +99,7 @@ _LETTER, _LEGEND_ROW = 0.075, 0.17  # the width of a character and the height of
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
-    """Draw plot panels as SVG for a report, at most two in a row if ``paired``; ``prefix`` makes the SVG ids unique."""
+    """Draw plot panels as SVG; ``paired`` limits a row to two panels, and ``prefix`` makes the SVG ids unique."""
     return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
 
 

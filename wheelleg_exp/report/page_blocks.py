@@ -75,7 +75,7 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True  # False if a heading of the page replaces the table's title
+    titled: bool = True  # False hides the title, for example if a heading of the page already names the table
 
 
 @dataclass(frozen=True)

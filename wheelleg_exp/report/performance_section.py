@@ -148,7 +148,7 @@ def performance_blocks(subject: Subject) -> list[Block]:
 
 
 def recording_of_play(subject: Subject) -> Path | None:
-    """Return the recording of a policy's last ``wheelleg play``, or of a zero or random agent; None without a file."""
+    """Return the path of the last recording by ``wheelleg play``, or by a zero or random agent; None without a file."""
     if subject.status == AGENT:
         return subject.file("recording.rrd")
     for entry in reversed(subject.additions("play")):
@@ -230,7 +230,7 @@ def _endings(figures: Mapping[str, Any]) -> list[Block]:
         [Cell(spoken(name)), Cell(number(times), number=True), Cell(percent(times / count), bar=times / count)]
         for name, times in counts.items()
     ]
-    # An old ``wheelleg play`` counted an episode several times if several termination terms ended the episode.
+    # Old versions of ``wheelleg play`` counted an episode once for each termination term that ended the episode.
     twice = " (an episode with two terminations counts for both)" if sum(counts.values()) > count else ""
     return [Table(f"How its {counted(count, 'ended episode')} ended{twice}", ("Ended by", "Episodes", "Share"), rows)]
 
@@ -281,7 +281,7 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
 _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
-_SHOWN_FIRST = 12  # The number of metrics per evaluation test that a report shows; further metrics are collapsed.
+_SHOWN_FIRST = 12  # The report shows this number of metrics per evaluation test, and collapses the others.
 
 
 def evaluated(subject: Subject) -> bool:

@@ -47,7 +47,7 @@ class Episode:
 
 @dataclass
 class Look:
-    """The recordings of a run, each opened once; the report shows an error if a recording cannot be read."""
+    """Opens each recording of a run only once; the report shows an error if a recording cannot be read."""
 
     subject: Subject
     pictures: bool = True  # whether the report shows pictures of the robot
@@ -56,12 +56,12 @@ class Look:
 
     @cached_property
     def training(self) -> Recording | WheellegError | None:
-        """The recording of the training, or the error from opening this recording; None if the run has no recording."""
+        """The training's recording; an error if the recording cannot be opened; None if there is no recording."""
         return None if self.subject.status == AGENT else _opened(self.subject.file("recording.rrd"))
 
     @cached_property
     def play(self) -> Recording | WheellegError | None:
-        """The recording of the last rollout of a policy or agent, or the error from opening the recording, or None."""
+        """The last rollout's recording; an error if the recording cannot be opened; None if there is no recording."""
         return _opened(standing.recording_of_play(self.subject))
 
     def hero(self) -> Picture | None:
@@ -163,10 +163,10 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return a sample (consecutive recorded steps), and the episode in this sample that the report's pictures show."""
-    # For the start of training (``_FIRST``), the pictures show the first recorded training episode.
-    # For a ``wheelleg play`` (``_PLAY``), the pictures show the first recorded episode, whose metrics the report lists.
-    # For the end of training, the pictures show a complete episode, taken from the latest steps that contain one.
+    """Return a recorded interval (sample), and the episode in this interval that the report's pictures show."""
+    # With ``_FIRST``, the pictures show the first recorded episode of the training.
+    # With ``_PLAY``, the pictures show the first recorded episode of ``wheelleg play``, whose metrics the report lists.
+    # With ``_LAST``, the pictures show a complete episode from the latest recorded interval that contains one.
     # If no recorded training episode is complete, the pictures show the longest of the latest incomplete episodes.
     samples = source.samples()
     if which == _LAST:

@@ -1,7 +1,7 @@
 """Build the sections of a report on the provenance and reproducibility of a run.
 
 The report lists the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One section
-checks a run's files against its file manifest.json, and compares the run with trainings of equal settings and seed.
+checks the run's files against manifest.json, and compares the run with trainings of equal settings and seed.
 """
 
 from __future__ import annotations
@@ -224,9 +224,9 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 class Repeat:
     """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
-    label: str  # The task and id of the run that is compared with the reported run.
-    how: str  # ``replay``, ``original``, or ``same settings``: how the compared run relates to the reported run.
-    verdict: str  # The result of comparing the run ``label`` with the reported run, or ``not compared``.
+    label: str  # the task and id of the other run, with which the reported run is compared
+    how: str  # The other run is the reported run's ``replay`` or ``original``, or has the ``same settings``.
+    verdict: str  # The two runs are ``identical``, equal ``within tolerance``, ``different``, or ``not compared``.
     reason: str
     lines: Sequence[str]  # the whole comparison
 
@@ -259,7 +259,7 @@ def judge(subject: Subject) -> Verdict:
     from wheelleg_exp.verify import verify_run
 
     odd = odd_entries(subject.path)
-    if odd:  # Read no file, because a symbolic link can point to a private file outside of the run directory.
+    if odd:  # Do not read the run's files, because a symbolic link can point to a private file elsewhere.
         damaged = Card("Reproducibility", "Damaged", note="it holds links or pipes", tone="bad")
         name, what = next(iter(odd.items()))
         return Verdict(damaged, None, [], subject, f"{name} is {what}, which may lead anywhere")
@@ -308,7 +308,7 @@ def _found(verdict: Verdict) -> list[Block]:
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Return the result of one check of a run as text; the number of checked files excludes report files."""
+    """Describe the result of one check of a run; the number of checked files does not include reports."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)

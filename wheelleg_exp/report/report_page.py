@@ -30,7 +30,7 @@ from wheelleg_exp.report.report_subject import AGENT, KIND, Subject
 from wheelleg_exp.report.value_format import whole_units
 from wheelleg_exp.run.run_list import non_finite_note
 
-# The report page contains ``MARK`` and the run, so that a later report of the same run can overwrite the page.
+# A report page contains ``MARK`` and the run's id, so that only a later report of this run overwrites the page.
 MARK = '<meta name="wheelleg-report" content="'
 
 
@@ -115,7 +115,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
         command=_or(lambda: headline.command(subject), ""),
         hero=_or(look.hero, None),
         sections=_sections(subject, look, verdict),
-        # Read ``subject.problems`` after building the page's sections, because errors in sections add problems there.
+        # Build the sections before reading ``subject.problems``, because the sections add their errors to this list.
         notes=[Note(problem) for problem in dict.fromkeys([*_not_finite(subject), *subject.problems])],
         version=__version__,
     )
@@ -176,7 +176,7 @@ def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
 
 
 def _or(build: Callable[[], T], instead: T) -> T:
-    """Return the result of the function ``build``, or ``instead`` if this function fails."""
+    """Call ``build`` and return its result, or return ``instead`` if ``build`` raises an error."""
     try:
         return build()
     except Exception:

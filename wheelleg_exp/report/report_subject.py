@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Series:
-    """The values of one training scalar at the training iterations ``at``; ``at`` and ``values`` have equal lengths."""
+    """One training scalar; ``values[i]`` is the scalar's value at the training iteration ``at[i]``."""
 
     at: tuple[int, ...]
     values: tuple[float, ...]
@@ -75,7 +75,7 @@ class Subject:
         return series.values[-1] if series and series.values else None
 
     def additions(self, kind: str) -> list[dict[str, Any]]:
-        """Return the manifest's entries for commands of a kind, such as ``play``, that used the run, oldest first."""
+        """Return the manifest's entries of one kind, oldest first, such as all ``play`` commands on the run."""
         return [entry for entry in self.manifest.get("additions", []) if entry.get("kind") == kind]
 
     def file(self, name: str) -> Path | None:
@@ -84,7 +84,7 @@ class Subject:
         return path if path.resolve().is_relative_to(self.path.resolve()) and path.is_file() else None
 
     def tried(self, read: Callable[[], T], instead: T) -> T:
-        """Return the result of ``read``; if ``read`` fails, add the reason to ``problems`` and return ``instead``."""
+        """Call ``read`` and return its result; if it fails, add the error to ``problems`` and return ``instead``."""
         try:
             return read()
         except WheellegError as error:
@@ -131,7 +131,7 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
 
 
 def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
-    """Return the folders on Hydra's search path that the user has registered, because all others are not trusted."""
+    """Return the config folders on the run's Hydra search path that the user trusts; others must not be read."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
     return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 

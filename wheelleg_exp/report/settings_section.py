@@ -27,7 +27,7 @@ _LETTERS = 20_000
 
 @dataclass(frozen=True)
 class Setting:
-    """A config value of the run that differs from the task's default value; both values are texts."""
+    """A config value of the run and the task's default value, both as texts for the report."""
 
     path: str
     default: str
@@ -71,9 +71,9 @@ def settings_blocks(subject: Subject) -> list[Block]:
 def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
     """Yield those parameters of the run that differ from the task's defaults.
 
-    ``default`` is the config of the run's task without overrides. ``again`` is the task's config with the run's
-    overrides, composed from scratch on this machine. If a config value of the run has the same value in the newly
-    composed config ``again``, the value's origin (a file or an override) comes from ``again``.
+    Hydra composed ``default`` for the run's task without overrides, and ``again`` with the run's overrides, both on
+    this machine. If a value of the run equals the value in ``again``, both have the same origin (a file or an
+    override).
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:
@@ -84,7 +84,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
 
 
 def own_leaves(composed: Composed | None) -> Iterator[Setting]:
-    """Yield those config values of the run that the user's YAML files set."""
+    """Yield the run's config values that come from the user's own YAML files."""
     if composed is None:
         return
     folders = composed.config_dirs
@@ -113,7 +113,7 @@ def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
 def _require_harmless(words: Sequence[str]) -> None:
     """Raise ConfigError if a run's Hydra arguments would make Hydra read folders, modules, or environment variables."""
     if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
-        raise ConfigError("the run's overrides are not composed, as Hydra could read files outside the config folders")
+        raise ConfigError("Hydra does not compose the run's overrides: they could read files outside config folders")
 
 
 def _shown(value: Any) -> str:
@@ -121,7 +121,7 @@ def _shown(value: Any) -> str:
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
-    # The origin of a run's config value is known only if composing the config on this machine gives an equal value.
+    # The origin of a config value is known only if Hydra composes an equal value on this machine.
     if again is None:
         return _THEN
     node: Any = again.config

@@ -39,7 +39,7 @@ _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", 
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
 BANDS = "The mean over the seeds of a setting, at iterations that all seeds have, and one standard deviation."
-# The returns of two runs cannot be compared if the runs differ in a config key of ``_MEASURE``.
+# Two runs have comparable returns only if the values of all config keys in ``_MEASURE`` are equal.
 _MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"
@@ -48,7 +48,7 @@ _MOST_DIFFERENCES = 12
 
 @dataclass(frozen=True)
 class Group:
-    """A group of runs that differ only in their seeds; ``settings`` are the settings that differ between groups."""
+    """Runs that differ only in their seeds; ``settings`` are the config values that other groups do not share."""
 
     settings: Mapping[str, str]
     runs: Sequence[Subject]
@@ -223,10 +223,10 @@ COMPARISON = "comparison.html"
 
 
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
-    """Return the folder and the opened runs of a report about several runs; None if ``names`` is a single run.
+    """Open several runs, and return the folder of their report and the runs; return None if ``names`` is a single run.
 
-    The folder of the report is that of the sweep, or the current folder for runs without a sweep. ``names`` contains
-    the paths or ids of runs and sweeps; ``latest`` means the latest run.
+    The report's folder is the sweep's folder, or, without a sweep, the current folder. ``names`` contains the paths or
+    ids of runs and sweeps; ``latest`` means the latest run.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:

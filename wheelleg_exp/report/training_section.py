@@ -20,7 +20,7 @@ _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_epi
 
 
 def first_curves(subject: Subject) -> list[Block]:
-    """Return the training curves of return, episode length, and terminations; a note if no iteration has finished."""
+    """Return curves of return, episode length, and terminations over training; a note if no iteration has finished."""
     from wheelleg_exp.inspection import training_curves as plots_training
 
     scalars = thinned(subject)

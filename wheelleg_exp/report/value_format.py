@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LONGEST = 160  # the largest number of characters that a report shows of a value
+_LONGEST = 160  # A report shows at most this number of characters of a value.
 
 
 def number(value: Any, digits: int = 3) -> str:

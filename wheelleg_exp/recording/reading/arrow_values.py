@@ -67,9 +67,9 @@ def short_name(name: str) -> str:
 
 
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Convert each column of an Arrow record batch to the Arrow type that recordings use for the column's name.
+    """Convert the columns of an Arrow record batch to the expected Arrow types, such as float64 lists for ``scalars``.
 
-    ``known_columns`` omits columns whose values cannot be converted, or whose short name belongs to an earlier column.
+    ``known_columns`` omits columns that cannot be converted, and columns with the same short name as an earlier column.
     """
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))

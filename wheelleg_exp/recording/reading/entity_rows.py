@@ -21,8 +21,8 @@ SCALARS = "scalars"
 class EntityRows:
     """Gives access to the recorded rows of each rerun entity in a recording's file.
 
-    ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording, or if ``recording_id``
-    does not select one of several recordings in the file.
+    ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording. ``recording_id`` must
+    select one recording if the file contains several.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
@@ -53,7 +53,7 @@ class EntityRows:
         return {short_name(name) for piece in pieces for name in piece.names}
 
     def archetypes(self, entity: str) -> set[str]:
-        """Return the names of rerun's archetypes, such as ``Boxes3D``, in the static data of an entity."""
+        """Return the names of the rerun archetypes, such as ``Boxes3D``, that an entity's static data contains."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         names = (name for piece in pieces if piece.is_static for name in piece.names)
         return {name.split(":", 1)[0] for name in names if ":" in name}
@@ -93,7 +93,7 @@ class EntityRows:
         return flat.reshape(len(table), -1)
 
     def width(self, entity: str) -> int:
-        """Return how many numbers the first row of a rerun entity contains."""
+        """Return the length of a rerun entity's first row of numbers, such as 3 for a vector; 0 without rows."""
         lengths = pc.list_value_length(self.rows(entity).column(SCALARS).slice(0, 1))
         return (lengths[0].as_py() or 0) if len(lengths) else 0
 

@@ -41,7 +41,7 @@ class NumberNames:
 
     @cached_property
     def groups(self) -> dict[str, list[str]]:
-        """The rerun entities that contain numbers, by parent entity path, in the order of their columns in a table."""
+        """Maps each entity path, such as ``joints``, to the numeric rerun entities below this path, in column order."""
         found: dict[str, list[str]] = {}
         room = _LETTERS
         for entity in self._entities:
@@ -73,7 +73,7 @@ class NumberNames:
         return found
 
     def all(self, branch: str) -> dict[str, Number]:
-        """Return all recorded numbers of one environment and all numbers without an environment, by dotted name."""
+        """Return one environment's numbers, and numbers of no environment such as training scalars, by dotted name."""
         if branch not in self._by_branch:
             depths = {e: int(bool(branch) and e.split("/")[0] == branch) for e in self._entities}
             shared = [e for e, depth in depths.items() if depth or not BRANCH.match(f"{e}/")]
@@ -107,12 +107,12 @@ class NumberNames:
 
 
 def is_numeric(rows: EntityRows, entity: str) -> bool:
-    """Return whether a data series of a recording (rerun entity) contains numbers, not shapes, poses, or texts."""
+    """Return whether a rerun entity contains recorded numbers, and not shapes, poses, or texts."""
     return entity.split("/")[0] not in _NOT_NUMBERS and SCALARS in rows.columns(entity)
 
 
 def parts_of(path: str) -> list[str]:
-    """Split a rerun entity path into its names, which still contain escape characters."""
+    """Split a rerun entity path at its slashes, but keep the escape characters in the names."""
     return _PART.findall(path)
 
 
@@ -132,18 +132,17 @@ def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
 
 
 def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
-    """Return recorded numbers as an array (rows, width), sorted by control step, in which a missing number is NaN."""
+    """Return numbers as an array with a row per control step, a column per number, and NaN for each missing number."""
     timeline = _timeline(rows, [n.entity for n in numbers])
     return np.stack([timeline.placed(n.entity, rows.matrix(n.entity)[:, n.index]) for n in numbers], axis=1)
 
 
 @dataclass(frozen=True)
 class _Timeline:
-    """The control steps that occur in at least one of several data series of a recording (rerun entities).
+    """All control steps at which at least one of several rerun entities was recorded.
 
-    ``columns`` maps ``step``, ``sim_time`` (s), and ``iteration``, if they are recorded, to a value for each table row.
-    ``rows`` maps each data series to the table rows of its control steps, or to None if the data series fills all table
-    rows.
+    ``columns`` contains the table columns ``step``, ``sim_time`` (s), and ``iteration``, as far as they were recorded.
+    ``rows`` maps each rerun entity to the indices of its table rows; None means all rows of the table.
     """
 
     columns: dict[str, NDArray]

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 class Health:
     """The health of a recording's file: how much of the file is readable.
 
-    ``size`` is the number of bytes of the recording, and ``readable`` is the number of bytes up to the end of the last
-    complete message. ``is_closed`` is true if the recording has an index. ``damaged`` counts complete messages that
-    cannot be decoded. ``writer`` is the version of rerun that wrote the recording.
+    ``size`` is the file's size in bytes; ``readable`` counts the bytes up to the end of the last complete message.
+    ``is_closed`` is true if the recording has an index. ``damaged`` counts complete messages that cannot be decoded.
+    ``writer`` is the version of rerun that wrote the recording.
     """
 
     size: int
@@ -48,7 +48,7 @@ class Health:
         return self.is_closed and not self.damaged
 
     def lines(self) -> list[str]:
-        """Return sentences for the user about the state of a recording's file, of which the first is a summary."""
+        """Return lines for the user about the state of a recording's file; the first line is a summary."""
         found = ["whole" if self.is_whole else "not whole"]
         if self.readable < self.size and not self.is_closed:
             found.append(f"cut off at byte {self.readable} of {self.size}: no whole message follows")
@@ -65,9 +65,9 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The rows of one message of an rrd file, either static or over time.
+    """The rows of one rrd message, which contains either static data or data over time.
 
-    The metadata of an Arrow field is ``index`` for a timeline of rerun, and ``data`` for a component.
+    rerun marks timelines as ``index``, and components as ``data``, in the metadata of their Arrow fields.
     """
 
     batch: pa.RecordBatch
@@ -75,16 +75,16 @@ class Piece:
 
     @property
     def names(self) -> list[str]:
-        """The names of all columns of a rerun message that contain times (timelines) or data (components)."""
+        """The names of an rrd message's columns with times (timelines) and with data (components)."""
         return [field.name for field in self.batch.schema if is_index(field) or is_component(field)]
 
 
 class Contents:
-    """The rows of a recording. ``pieces`` maps each rerun entity to its rows.
+    """The rows of a recording. ``pieces`` maps the path of each rerun entity to its rows, one ``Piece`` per message.
 
-    ``Contents`` reads a recording's complete messages, and raises RunDirectoryError if the file is missing or not a
-    recording, or if ``recording_id`` does not select one of several recordings in the file. With ``is_changed``, rerun
-    reads the file in a child process first, because a changed message can terminate the process that decodes it.
+    ``Contents`` reads complete messages, and raises RunDirectoryError if the file is missing or not a recording.
+    ``recording_id`` must select one recording if the file contains several. With ``is_changed``, rerun's program first
+    copies the file, because decoding a changed message can crash this process.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None, *, is_changed: bool = False) -> None:
@@ -108,7 +108,7 @@ class Contents:
 
     @cached_property
     def reach(self) -> dict[str, tuple[int, int]]:
-        """The first and the last value of each timeline, by the timeline's name; ``sim_time`` is in ns."""
+        """Maps the name of each timeline, such as ``step``, to its first and last value; ``sim_time`` is in ns."""
         found: dict[str, tuple[int, int]] = {}
         for batch in (piece.batch for pieces in self.pieces.values() for piece in pieces if not piece.is_static):
             for name in TIMELINES:
@@ -121,11 +121,11 @@ class Contents:
         return found
 
     def rows(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of a rerun entity; convert each column with a known name to the Arrow type of this name."""
+        """Yield a rerun entity's rows, with columns converted to the expected Arrow types (see ``known_columns``)."""
         return map(known_columns, self.batches(entity, static=static))
 
     def batches(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of a rerun entity in the order of the recording's file, without conversion of Arrow types."""
+        """Yield a rerun entity's rows as they are stored: in file order, and with their original Arrow types."""
         return (piece.batch for piece in self.pieces.get(entity, ()) if piece.is_static == static)
 
     def _chosen(self, stores: Mapping[tuple[str, str], list[Chunk]], wanted: str | None) -> str:
@@ -143,14 +143,14 @@ class Contents:
 
 
 def columns(batch: pa.RecordBatch) -> pa.Table:
-    """Convert an Arrow record batch to a table of its timelines and components with short column names."""
+    """Return a record batch's timelines and components as a table with short column names such as ``scalars``."""
     chosen = [i for i, field in enumerate(batch.schema) if field.name in TIMELINES or is_component(field)]
     names = [short_name(batch.schema.field(i).name) for i in chosen]
     return pa.table([batch.column(i) for i in chosen], names=names)
 
 
 def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
-    """Return the last recorded value of each rerun component, by the component's short name."""
+    """Return the last recorded value of each rerun component, by its short name such as ``translation``."""
     found: dict[str, pa.Array] = {}
     for batch in batches:
         for field, array in zip(batch.schema, batch.columns, strict=True):
@@ -164,7 +164,7 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
     rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
-    ``closed_copy`` raises RunDirectoryError if rerun's program cannot write a readable copy.
+    ``closed_copy`` raises RunDirectoryError if rerun's program cannot write the copy.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"
@@ -175,12 +175,12 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count damaged messages in rerun's log, because `rerun merge` also drops valid data that later data replaced.
+        # Count damaged messages in rerun's log, because the copy can also lack messages that are not damaged.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 
 def _stores(path: Path) -> dict[tuple[str, str], list[Chunk]] | None:
-    """Return the data chunks of a closed rrd file by kind and id of the rerun store; None for a damaged file."""
+    """Return the data chunks of each rerun store in a closed rrd file, by kind and id; None for a damaged file."""
     from rerun.chunk import RrdReader  # Import rerun only here, because the import takes 0.25 s.
 
     try:

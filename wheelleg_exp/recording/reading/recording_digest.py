@@ -26,8 +26,8 @@ LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
     """Return a sha256 over the content of a recording, which changes if one bit of a number changes.
 
-    The sha256 ignores row ids, chunk boundaries, and the recording's name, id, properties, and layout, which differ
-    between equal runs. Rerun entities at or below a path in ``without`` have no effect on the sha256 of a recording.
+    The sha256 ignores what differs between equal runs: row ids, chunk boundaries, and the recording's name, id,
+    properties, and layout. The sha256 also ignores the rerun entities at and below the paths in ``without``.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -49,7 +49,7 @@ def _digest(contents: Contents, entity: str) -> str:
     static = latest(contents.batches(entity, static=True))
     arrays = [(f"static {name}", static[name]) for name in sorted(static)]
     tables = [columns(batch) for batch in contents.batches(entity, static=False)]
-    with suppress(pa.ArrowException):  # Tables of one rerun entity cannot be joined if their Arrow types differ.
+    with suppress(pa.ArrowException):  # Arrow cannot concatenate tables whose columns have different types.
         tables = [pa.concat_tables(tables, promote_options="default")] if tables else []
     for table in tables:
         rows = table.sort_by([(STEP, "ascending")]) if table.column_names.count(STEP) == 1 else table

@@ -77,14 +77,14 @@ class Recording(EntityRows):
         return list(self._names.groups)
 
     def table(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return the rows of a rerun entity, or of a group of entities such as ``rewards``, as a table by control step.
+        """Return a table of the rows of a rerun entity, or of a group of entities such as ``rewards``.
 
         The table of an entity has the columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one
         list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
 
         The table of a group of entities has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64
-        column for each number. A number is NaN at control steps without a record. For an entity without the timeline
-        ``step``, the table's column ``step`` contains row numbers. The default of ``env_id`` is the first recorded
+        column for each number. A number that was not recorded at a control step is NaN. If the timeline ``step`` was
+        not recorded, the column ``step`` contains row numbers. By default, ``env_id`` is the first recorded
         environment. An unknown name raises RunDirectoryError.
         """
         path = self._resolved(name, env_id)
@@ -95,7 +95,7 @@ class Recording(EntityRows):
         return self.columns_of(self._names.numbers_of(self._resolved(name, env_id)))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
-        """Return all recorded numbers of one environment and all numbers without an environment, by dotted name."""
+        """Return one environment's numbers, and numbers of no environment such as training scalars, by dotted name."""
         return self._names.all(self.branch(env_id))
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
@@ -111,7 +111,7 @@ class Recording(EntityRows):
         return self.matrix(path) if self.has_rows(path) else number_groups.matrix(self, self._names.numbers_of(path))
 
     def names(self, name: str, env_id: int | None = None) -> list[str]:
-        """Return the names of the numbers of a rerun entity or group of entities; [] if the numbers have no names."""
+        """Return the names of the numbers in an entity or a group such as ``rewards``; [] for numbers without names."""
         path = self._path(name, env_id)
         own = self.number_names(path)
         if own or self.has_rows(path) or path not in self._names.groups:
@@ -135,7 +135,7 @@ class Recording(EntityRows):
 
     @cached_property
     def properties(self) -> Mapping[str, Mapping[str, Any]]:
-        """The recording's properties by name: ``wheelleg``, ``robot``. A list of one value becomes a plain value."""
+        """The recording's properties by name: ``wheelleg``, ``robot``. A value stored as ``[5]`` becomes ``5``."""
         found: dict[str, Mapping[str, Any]] = {}
         for entity in self._contents.pieces:
             root, _, name = entity.partition("/")
@@ -182,14 +182,14 @@ class Recording(EntityRows):
 
     @cached_property
     def branches(self) -> list[int]:
-        """The indices of environments with their own entity path prefix; [] if only one environment was recorded."""
+        """The indices of environments whose entity paths start with ``env_<index>``; [] for a single environment."""
         matches = [BRANCH.match(f"{entity}/") for entity in self.entities()]
         return sorted({int(match.group(1)) for match in matches if match})[:_MOST_ENVS]
 
     def branch(self, env_id: int | None = None) -> str:
         """Return the first part of an environment's entity paths, such as ``env_3``.
 
-        ``branch`` returns an empty text if only one environment was recorded, because its entity paths have no prefix.
+        ``branch`` returns an empty text if only one environment was recorded, because entity paths then have no prefix.
         ``branch`` raises RunDirectoryError if the environment ``env_id`` was not recorded.
         """
         if env_id is not None and env_id not in self.env_ids:

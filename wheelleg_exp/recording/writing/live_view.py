@@ -61,10 +61,10 @@ class Follower:
     def __init__(self, path: Path) -> None:
         self._file = RrdFile(path)
         self._place = HEADER_SIZE
-        self._announced = b""  # ``_announced`` contains the header messages of the rrd file's recordings.
+        self._announced = b""  # all ``STORE_INFO`` messages read so far; rerun needs them to decode later data
 
     def chunks(self) -> Iterator[tuple[str, Chunk]]:
-        """Yield each data chunk that the run completed since the last call, with the id of the chunk's recording."""
+        """Yield each data chunk that the file received since the last call, with the id of its recording."""
         self._file.refresh()
         begin = self._place
         for message in self._file.messages(begin):
@@ -172,9 +172,9 @@ def free_port() -> int:
 
 
 def main(words: list[Any]) -> None:
-    """Send the growing recording ``words[0]``, and the layouts in the folder ``words[1]``, to rerun's viewer.
+    """Send a growing recording to rerun's viewer.
 
-    The elements of ``words`` after the second are the command of a user-defined viewer.
+    ``words``: the recording's path, the folder of the viewer's layouts, and the command of a user-defined viewer.
     """
     os.nice(5)
     folder = Path(words[1])

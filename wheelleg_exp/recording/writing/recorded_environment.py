@@ -31,8 +31,7 @@ ROBOT = "robot"
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
 
-    Entries of ``given`` (run id, task, checkpoint) replace entries with equal names that are computed from the
-    environment.
+    Entries of ``given``, such as the run id, replace entries that are computed from the environment.
     """
     found: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -68,7 +67,7 @@ def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
 
 
 def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
-    """Yield the names, weights, and widths of each manager's terms, in the manager's order."""
+    """Yield each manager's term names, the reward weights, and the widths of observation and action terms."""
     observations, actions = env.observation_manager, env.action_manager
     for group, terms in observations.active_terms.items():
         widths = [math.prod(shape) for shape in observations.group_obs_term_dim[group]]
@@ -108,7 +107,7 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
 
 
 MEGABYTE = 1_000_000
-# In an rrd file, a data chunk adds 2100 bytes, the times of a row 24, a pose 28, and a number 8 (measured).
+# Measured bytes in an rrd file: 2100 per data chunk, 24 per row for its times, 28 per pose, 8 per number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 
 # Arrow lengths are proportional to the robot's height, so that arrows are visible for robots of any size.
@@ -124,10 +123,10 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 
 
 class RecordedEnvironment:
-    """One recorded environment. ``place`` is the environment's position in the viewer's 3D view.
+    """One recorded environment. ``place`` (0, 1, …) is the robot's place in the row of robots in the 3D view.
 
     Recorded poses are relative to the origin of the environment at the start of the recording, so that the robot starts
-    at the centre of the 3D view. ``stamps`` contains the times of all buffered frames.
+    at the centre of the 3D view. ``stamps`` contains the control step and time of each buffered frame.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -167,9 +166,9 @@ class RecordedEnvironment:
         )
 
     def frame_bytes(self, rows_together: int) -> float:
-        """Return an upper estimate of a frame's bytes in a recording with ``rows_together`` frames per data chunk."""
+        """Return an upper bound for the bytes of one frame if each data chunk contains ``rows_together`` frames."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # Also count the rerun entities outside ``channels``: roll, pitch, yaw, contacts, 2 velocity arrows, body poses.
+        # Roll, pitch, yaw, contacts, 2 velocity arrows, and body poses are entities that ``channels`` does not contain.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
@@ -177,7 +176,7 @@ class RecordedEnvironment:
         return content + _CHUNK * entities / rows_together
 
     def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
-        """Buffer the environment's state after a control step for recording. ``ends`` is true if the episode ended."""
+        """Buffer the environment's state after a control step. ``ends`` is true for an episode's last step."""
         self.episodes.advance(stamp.step, episode_step)
         self.sample.steps.append(stamp.step)
         self.sample.took(ends=ends)
@@ -278,7 +277,7 @@ class RecordedEnvironment:
 
 
 def series(names: Any, first: int = 0) -> Any:
-    """Return the rerun archetype with the names and colours of the lines in a plot.
+    """Return rerun's ``SeriesLines`` with a name and a colour for each line in a plot of the viewer.
 
     Commands and targets have paler colours than measured values.
     """

@@ -28,8 +28,8 @@ Columns = tuple[str, list[Stamp], Any]
 class EventLog:
     """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events of a control step happen after this control step is recorded. The recorder logs the interval events
-    of a control step when the recorder captures the next control step or writes its buffer to the file.
+    Interval events, such as pushes, happen after the control step's capture, so the recorder logs them at its next
+    ``capture`` or ``flush``.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -51,20 +51,20 @@ class EventLog:
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Log the interval events of the last recorded control step, if the number of this control step is ``step``."""
+        """Log the interval events of the control step ``step``, if ``step`` is the last recorded control step."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # The mask ``due`` has one element if all environments share a timer, else one element per environment.
+                # ``due`` has one element per environment, or only one if all environments share the event's timer.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
 
     def say(self, text: str, level: str, stamp: Stamp) -> None:
-        """Add a message about the recording itself to the log."""
+        """Log a message about the recording itself, such as that the recording reached its size limit."""
         self._lines[layout.join(layout.LOG, RECORDING)].append((stamp, text, level))
 
     def pieces(self) -> Iterator[Columns]:
@@ -79,7 +79,7 @@ class EventLog:
 
 
 class TrainingScalars:
-    """A buffer of the training scalars that are not yet written to the recording.
+    """Buffers the scalars of a few training iterations until they are written to the recording.
 
     ``keys`` contains the keys of all training scalars in the order of their first occurrence.
     """
@@ -90,7 +90,7 @@ class TrainingScalars:
         self._iterations = 0
 
     def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
-        """Buffer the scalars of a training iteration. Return whether a scalar's key is new in this training."""
+        """Buffer the scalars of a training iteration; return True if a scalar is logged for the first time."""
         new = [key for key in values if key not in self.keys]
         self.keys += new
         for key, value in values.items():

@@ -30,7 +30,7 @@ class Channel:
     """A recorded quantity, such as the joint positions: its key, its numbers' names, and a function that reads it.
 
     ``entities`` lists the rerun entities that store a recorded quantity: one entity for all numbers, or one entity per
-    number. If ``entities`` is empty, the recorder does not write the recorded quantity to the rerun file.
+    number. A recorded quantity with empty ``entities`` is buffered, but not written to the file.
     """
 
     key: str
@@ -40,7 +40,7 @@ class Channel:
 
 
 def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """Return the recorded quantities (channels) of one environment's robot and managers.
+    """Return the recorded quantities (channels) of one environment, such as joint positions and rewards.
 
     The recorded quantities do not include body poses, because the recorder computes body poses from ``qpos``.
     """
@@ -57,12 +57,12 @@ def velocity_command(env: ManagerBasedRLEnv) -> str | None:
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
-    """Return a channel (recorded row of numbers) that stores all its numbers in one rerun entity."""
+    """Return a recorded quantity (channel), all of whose numbers are stored in the rerun entity ``entity``."""
     return Channel(key, tuple(names), read, (entity,))
 
 
 def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a function that returns one environment's row of the tensor ``read()`` as a flat array."""
+    """Return a function that copies the row of environment ``env_id`` from the tensor ``read()``, as a flat array."""
     return lambda: host_copy(read()[env_id]).ravel()
 
 
@@ -150,7 +150,7 @@ class Stamp:
 
 
 class Frames:
-    """A buffer of one environment's frames since the last flush; each frame contains the numbers of ``channels``."""
+    """Buffers one environment's recorded numbers until a flush: one row per frame, one column per number."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.channels = list(channels)
@@ -179,20 +179,20 @@ class Frames:
 
 
 class Episodes:
-    """A counter of recorded episodes. A recorded step that does not continue the last episode starts a new episode."""
+    """A counter of recorded episodes. A reset or a gap between recorded control steps increases the episode number."""
 
     def __init__(self) -> None:
         self.number = -1
         self._step, self._episode_step = -1, -1
 
     def advance(self, step: int, episode_step: int) -> None:
-        """Increase the episode number if the recorded step does not continue the episode of the last recorded step."""
+        """Count a recorded control step; after a reset or a gap between recorded steps, increase the episode number."""
         if step != self._step + 1 or episode_step != self._episode_step + 1:
             self.number += 1
         self._step, self._episode_step = step, episode_step
 
     def restore(self, number: int, step: int, episode_step: int) -> None:
-        """Continue the count of episodes after the last control step that an earlier process recorded."""
+        """Set the episode counters to the last recorded values of the interrupted run that this process resumes."""
         self.number, self._step, self._episode_step = number, step, episode_step
 
 

@@ -38,8 +38,8 @@ class Recorder:
     a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes them to
     the rerun file.
 
-    The timelines of the rerun file are ``step`` (the environment's control steps), ``sim_time`` (``step`` times the
-    step duration) and, if a training iteration is given, ``iteration``.
+    The rerun file has the timelines ``step`` (control steps), ``sim_time`` (``step`` times the step duration), and, for
+    a training, ``iteration``.
 
     Args:
         path: the file.
@@ -90,7 +90,7 @@ class Recorder:
             raise
 
     def frames_within(self, megabytes: float) -> int:
-        """Return a number of frames that certainly fit into a recording of ``megabytes`` MB."""
+        """Return how many frames certainly fit into a recording of ``megabytes`` MB."""
         return max(int((megabytes * recorded_environment.MEGABYTE - self._static_bytes()) / self._frame_bytes()), 0)
 
     def megabytes(self, frames: int) -> float:
@@ -99,7 +99,7 @@ class Recorder:
         return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def _static_bytes(self) -> float:
-        # Estimate the most bytes that a recording can need for its shapes, texts, and names.
+        # Return an upper bound for the bytes of a recording's shapes, texts, and names.
         model, environments = self._env.scene.model, len(self._environments)
         return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
 
@@ -109,19 +109,19 @@ class Recorder:
     def start(self, iteration: int | None = None, steps: int | None = None, *, last_words: str = "") -> None:
         """Start a segment: from now on, ``capture`` records every selected environment.
 
-        After ``steps`` frames, the recording pauses and logs the message ``last_words``. None means unlimited.
-        ``iteration`` is the training iteration of the recorded frames; set the attribute ``iteration`` to change it.
+        After ``steps`` frames (None: no limit), the recording pauses and logs the message ``last_words``. Each recorded
+        frame stores the training iteration ``iteration``; assign the attribute ``iteration`` to change this value.
         """
         self.iteration, self.captured = iteration, 0
         self._limit, self._last_words = -1 if steps is None else steps, last_words
         self._active = steps is None or steps > 0
 
     def sample(self, due: int, enough: int, most: int) -> None:
-        """Start or resume the recording of complete episodes of each environment by the method ``capture``.
+        """Start or resume a sample: from now on, ``capture`` records complete episodes of each selected environment.
 
-        Only episodes that start after the control step ``due`` are recorded. After ``enough`` frames of an environment,
-        recording stops at the end of the environment's current episode. If ``enough`` is 0, no frame is recorded. After
-        ``most`` frames, recording stops at once, even in the middle of an episode.
+        Only episodes that start after the control step ``due`` are recorded. After ``enough`` frames of an environment
+        (0: no frames), recording stops at the end of the environment's current episode. After ``most`` frames,
+        recording stops at once, even in the middle of an episode.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:
@@ -131,7 +131,7 @@ class Recorder:
             recorded.sample.begin(enough, most, taken=taken, is_in_episode=goes_on)
 
     def frames_until(self, step: int) -> int:
-        """Return the largest number of recorded frames of any environment up to a control step."""
+        """Return the number of frames up to the control step ``step`` in the environment with the most frames."""
         return max(bisect_right(recorded.sample.steps, step) for recorded in self._environments)
 
     def stop(self) -> None:
@@ -140,7 +140,7 @@ class Recorder:
         self.flush()
 
     def capture(self) -> None:
-        """Record the environments' states after a control step, if ``start`` or ``sample`` requested these states."""
+        """Record the environments' states after a control step, if ``start`` or ``sample`` started a recording."""
         step = self._env.common_step_counter
         self._events.look_back(step - 1)
         lengths = host_copy(self._env.episode_length_buf)
@@ -164,12 +164,12 @@ class Recorder:
             self._capturing = False
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
-        """Record the scalars of a training iteration. The scalar ``a/b`` becomes the rerun entity ``training/a/b``."""
+        """Record a training iteration's scalars. The scalar ``a/b`` becomes the rerun entity ``training/a/b``."""
         if self._scalars.add(self._stamp(self._env.common_step_counter, iteration), values):
             self._stale = True
 
     def say(self, text: str, level: str = "WARN") -> None:
-        """Add a message about the recording itself to the recorded log."""
+        """Log a message about the recording itself, such as that the recording reached its size limit."""
         self._events.say(text, level, self._stamp(self._env.common_step_counter))
 
     def document(self, name: str, text: str) -> None:
@@ -181,7 +181,7 @@ class Recorder:
             self._stale = True
 
     def has_document(self, name: str) -> bool:
-        """Return whether the recording, or the earlier recording that is resumed, contains the text ``name``."""
+        """Return whether the recording, or the recording that it resumes, contains the text document ``name``."""
         return name in self._documents
 
     def flush(self, *, everything: bool = True) -> None:
@@ -205,7 +205,7 @@ class Recorder:
         self._file.flush()
 
     def close(self) -> None:
-        """Write the buffered data to the recording and close it. A second call does nothing."""
+        """Write the buffered data, and close the recording's file. A second call does nothing."""
         self._active = False
         if self._file.is_open:
             try:
@@ -215,7 +215,7 @@ class Recorder:
 
     @property
     def unfinished(self) -> str | None:
-        """The reason why the closed recording has no index; None if the recording has an index or is open."""
+        """The reason why the closed recording has no index, such as a full disk; None if there is no such reason."""
         return self._file.unfinished
 
     def blueprint(self) -> Any:
@@ -271,7 +271,7 @@ class Recorder:
 
 
 def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
-    """Return the rerun timelines of frames; ``iteration`` exists only if all frames belong to training iterations."""
+    """Return the times of frames as rerun columns; ``iteration`` is omitted unless each frame has an iteration."""
     steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
     sim_times = rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]"))
     columns = [rr.TimeColumn(layout.STEP, sequence=steps), sim_times]

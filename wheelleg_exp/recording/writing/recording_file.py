@@ -1,4 +1,4 @@
-"""Write a recording's file, which grows during a run."""
+"""Write a rerun recording to a file that grows during the run."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, e
 class RecordingFile:
     """A growing recording. Added data stays in memory until ``flush`` writes it to the file ``path``.
 
-    If ``aside`` is true, the recording's file has a temporary name until ``take_place`` is called. ``unfinished`` is
-    the reason why a closed recording has no index; None for a recording that has an index or is open. ``RecordingFile``
-    raises RunDirectoryError if the file ``path`` exists. A method of ``RecordingFile`` raises SimulationFailure if it
-    cannot write to the file.
+    If ``aside`` is true, the file has a temporary name until ``take_place`` renames it to ``path``. ``unfinished`` is
+    the reason, such as a full disk, why a closed recording has no index; otherwise None. ``RecordingFile`` raises
+    RunDirectoryError if the file ``path`` exists. A method of ``RecordingFile`` raises SimulationFailure if it cannot
+    write to the file.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:

@@ -115,7 +115,7 @@ Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the buffered numbers of all channels (recorded quantities) in the column format of rerun's SDK."""
+    """Yield the buffered numbers of each rerun entity in the column format of rerun's SDK."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -126,7 +126,7 @@ def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
 
 
 def vector_columns(rows: Array) -> Any:
-    """Return rows (n, width) as a rerun column that contains one vector per row."""
+    """Convert an array (n, width) to n vectors in the column format of rerun's SDK."""
     flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
 
@@ -138,7 +138,7 @@ def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield MuJoCo body poses in the column format of rerun's SDK. ``bodies`` maps body ids to rerun entities."""
+    """Yield body poses in the column format of rerun's SDK. ``bodies`` maps MuJoCo body ids to rerun entity paths."""
     position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
         yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
@@ -148,7 +148,7 @@ def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
 class Contacts:
     """Draws the contact forces of one contact sensor, as numbers and as arrows at the bodies in contact.
 
-    ``bodies`` are the MuJoCo ids of the sensor's bodies, and ``scale`` is the arrow length in m/N.
+    ``bodies`` are the MuJoCo ids of the sensor's bodies; ``scale`` is the length of a force arrow, in m per N.
     """
 
     sensor: str
@@ -170,7 +170,7 @@ class Contacts:
 class VelocityArrows:
     """Draws arrows above the base for the commanded and the actual planar velocity.
 
-    ``command`` is the key of the recorded velocity command, and ``root`` is the MuJoCo id of the base. ``lift`` is the
+    ``command`` is the key of the buffered velocity command; ``root`` is the MuJoCo body id of the base. ``lift`` is the
     height of the velocity arrows above the base, m. ``scale`` is the length of a velocity arrow, in m per m/s.
     """
 

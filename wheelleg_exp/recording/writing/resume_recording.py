@@ -25,13 +25,12 @@ _SCALARS = "Scalars:scalars"
 
 
 class EarlierRecording:
-    """Reads an interrupted run's recording up to a control step, for a recorder that continues the recording.
+    """Reads an interrupted run's recording up to the control step from which a new process resumes the run.
 
     An incomplete last message of the interrupted run's recording is omitted. ``EarlierRecording`` only reads files.
-    ``last`` maps the rerun entity of each counter (episode number, step within the episode) to the counter's last
-    control step and last value. ``steps`` maps the rerun entity of each counter (episode number, step within the
-    episode) to the control steps of all values of the counter. ``EarlierRecording`` raises RunDirectoryError if the
-    recording is damaged or from another program.
+    ``last`` maps each entity ``episode/number`` and ``episode/step`` to the control step and the value of its last row.
+    ``steps`` maps each entity ``episode/number`` and ``episode/step`` to the control steps of all its rows.
+    ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
     """
 
     def __init__(self, path: Path, until: int) -> None:
@@ -94,7 +93,7 @@ class EarlierRecording:
 def move_aside(path: Path, *, go_on: bool) -> str | None:
     """Rename an earlier recording that cannot be continued, and remove the files of an interrupted resume.
 
-    Return a message for the user if a resumed run's earlier recording is missing or was renamed, or else None.
+    If the earlier recording is missing or was renamed, return a message for the user, otherwise None.
     """
     if not go_on:
         return None
