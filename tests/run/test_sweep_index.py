@@ -64,8 +64,8 @@ def test_a_sweep_is_no_run(tmp_path, make_run):
     assert RunDirectory.open("latest", tmp_path / "runs").path == run.path
 
 
-REFUSED = [(None, "cannot read"), ("{", "broken JSON"), ("[]", "does not list runs of a sweep")]
-REFUSED += [('{"format": 1}', "does not list runs of a"), ('{"format": 2, "jobs": []}', "sweep format 2 is unknown")]
+REFUSED = [(None, "cannot read"), ("{", "broken JSON"), ("[]", "is not the index of a sweep")]
+REFUSED += [('{"format": 1}', "is not the index of a"), ('{"format": 2, "jobs": []}', "sweep format 2 is unknown")]
 
 
 @pytest.mark.parametrize(("text", "message"), REFUSED)

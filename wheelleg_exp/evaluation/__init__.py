@@ -1,4 +1,4 @@
-"""Evaluate a policy in physical units. All policies run in the same fixed scenarios.
+"""Measure how well a policy works, in physical units. All policies run in the same fixed scenarios.
 
 ``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` runs a policy in the scenarios of an evaluation protocol. It
 returns an ``Evaluation``: one row per episode, and metrics with their intervals. Python imports ``evaluate`` and its

@@ -38,7 +38,7 @@ class Pushes:
         self._longest = max(steps)
 
     def of(self, change: torch.Tensor) -> Callable[[int], None]:
-        """Return a callback for each step; all calls together change the robots' velocities by ``change`` (N,), m/s."""
+        """Return a callback ``push(step)`` that changes the robots' velocities by ``change`` (N,), m/s, in total."""
         env = self.rollout.env
         each = self.direction * (change / self.pulse).unsqueeze(1)
 
@@ -63,12 +63,12 @@ def push_columns(
 ) -> tuple[Columns, Trajectories]:
     """Return each episode's hardest survived push, and its recovery from a push of ``reference`` m/s, (N,) each.
 
-    ``limit_m_s`` is the hardest survived push, found by bisection between 0 and ``highest`` m/s. To find ``limit_m_s``,
-    each episode is simulated ``iterations`` times from the same start, with different pushes. ``limit_m_s`` is 0 if the
-    robot falls after every push. ``limit_normalised`` is ``limit_m_s`` divided by √(g h), where h is the height of the
-    base before the push. ``recovery_s`` is the time from the push of ``reference`` m/s until tilt and height stay in
-    their tolerance bands; NaN if the push never moves tilt and height out of the bands. ``recovered`` is 1 if the robot
-    does not fall and its tilt and height stay in their bands from ``within_s`` on, else 0.
+    ``limit_m_s`` is the hardest survived push, found by bisection between 0 and ``highest`` m/s in ``iterations``
+    simulations from the same start. ``limit_m_s`` is 0 if the robot falls after every push. ``limit_normalised`` is
+    ``limit_m_s`` divided by √(g h), where h is the height of the base before the push. ``recovery_s`` is the time from
+    the push of ``reference`` m/s until tilt and height stay in their tolerance bands. ``recovery_s`` is NaN if the
+    robot falls, or if tilt and height never leave their bands. ``recovered`` is 1 if the robot does not fall and its
+    tilt and height stay in their bands from ``within_s`` on, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -103,7 +103,7 @@ def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns
 
 
 def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
-    """Return a progress callback for one of several rollouts that share one progress bar."""
+    """Return a callback that converts the progress of one rollout to the progress of the whole test."""
     return None if tell is None else lambda done, of: tell(part * of + done, parts * of)
 
 
@@ -120,9 +120,9 @@ class World:
 def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
     """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
 
-    ``worlds`` adds events that set masses, centres of mass, gains, or friction. The events of ``worlds`` run after the
-    task's events, and overwrite random values from the task's events. For observation noise, ``worlds`` multiplies the
-    standard deviations ``noise_std`` of observation terms by a factor. ``base`` names the robot's root link.
+    ``worlds`` adds events that set masses, centres of mass, gains, or friction after the task's own events. ``worlds``
+    gives observation terms Gaussian noise, whose standard deviation is a factor times ``noise_std``. ``base`` is the
+    name of the robot's root link.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
     for value in options.friction:

@@ -63,7 +63,7 @@ def evaluation_cfg(
 
 
 def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
-    """Return the name of a contact sensor that covers every body of the robot; None if no sensor does."""
+    """Return the name of a contact sensor on every body of the robot, or None if the scene has no such sensor."""
     wanted = {name: _CONTACTS[name] for name in ("_target_", "body_names")}
     nodes = {name: node for name, node in sensors.items() if isinstance(node, Mapping)}
     return next((name for name, node in nodes.items() if all(node.get(k) == v for k, v in wanted.items())), None)
@@ -105,14 +105,14 @@ def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class RobotParts:
-    """The joints and physical properties of a robot that metrics use; integer tensors are joint indices.
+    """The joints and physical properties of a robot that metrics use. Integer tensors contain joint indices.
 
     ``wheels`` (W,) are the joints of driven wheels that carry the robot. ``contacts`` is the name of a contact sensor
-    on every body, and ``wheel_bodies`` (W,) are the columns of the W wheels in the data of ``contacts``.
-    ``wheel_offsets`` (W,) are the y coordinates of the wheels in the base's axes, m; None if the robot has no forward
-    direction. ``left`` (P,) are driven joints of the left legs, and ``right`` (P,) are their mirror images: the image
-    of ``left`` at q is ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit``
-    (N, J) is in N·m, and inf for a joint without a limit; ``mass`` is in kg and ``gravity`` in m/s².
+    on every body, and ``wheel_bodies`` (W,) are the wheels' body indices in this sensor's data. ``wheel_offsets`` (W,)
+    are the y coordinates of the wheels in the base's axes, m; None if the robot has no forward direction. ``left`` (P,)
+    are driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is
+    ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J) is in N·m, and
+    inf for a joint without a limit; ``mass`` is in kg and ``gravity`` in m/s².
     """
 
     joint_names: tuple[str, ...]

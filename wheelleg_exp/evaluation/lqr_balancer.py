@@ -32,11 +32,11 @@ _MOST_ERROR = 0.05
 class Pendulum:
     """Pendulum model of a robot on one axle of wheels: a rigid body at the default pose.
 
-    ``mass``, kg, and ``inertia`` about the axle, kg·m², are without wheels. ``height`` is the distance of the centre of
-    mass from the axle, m. ``lean`` is the pitch at which the centre of mass is above the axle, rad, positive for nose
-    down. ``rolling`` is the resistance of the wheels to rolling, kg: their mass, and their inertia over the radius
-    squared. ``radius`` is the wheel radius, m, and ``track`` is the distance between the outermost wheel contacts, m.
-    ``gravity`` is in m/s².
+    ``mass``, kg, and ``inertia`` about the axle, kg·m², do not include the wheels. ``height`` is the distance of the
+    centre of mass from the axle, m. ``lean`` is the pitch at which the centre of mass is above the axle, rad, positive
+    for nose down. ``rolling`` is the resistance of the wheels to rolling, kg: their mass, and their inertia over the
+    radius squared. ``radius`` is the wheel radius, m, and ``track`` is the distance between the outermost wheel
+    contacts, m. ``gravity`` is in m/s².
     """
 
     mass: float
@@ -50,7 +50,7 @@ class Pendulum:
 
     @property
     def pole(self) -> float:
-        """The unstable pole of the pendulum, 1/s, while the wheels have a constant speed relative to the body."""
+        """The unstable pole of the pendulum model, 1/s, at a constant wheel speed relative to the body."""
         return math.sqrt(self.mass * self.gravity * self.height / self._inertia)
 
     @property
@@ -90,7 +90,7 @@ class Pendulum:
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
-    """Return a robot's pendulum model at the default pose without randomisation, and the robot's wheels and legs.
+    """Return a robot's pendulum model in the default pose without randomisation, and the robot's anatomy.
 
     ``pendulum_of`` raises ConfigError unless the robot stands on driven, parallel wheels of one axle.
     """
@@ -146,10 +146,10 @@ class Reference:
     commanded speed, so that the LQR corrects position errors.
 
     An integrator with the time constant of the robot's unstable pole estimates the pitch at which the robot balances.
-    The balanced pitch depends on the centre of mass, on external forces, and on the slope of the ground. The estimate
-    of the balanced pitch integrates the measured pitch acceleration minus the pitch acceleration that the linear model
-    predicts. In balance, the measured and the predicted pitch acceleration are equal, so the position has no
-    steady-state error. Velocity commands cause no integrator windup, because the linear model predicts their effect.
+    The balanced pitch depends on the centre of mass, on external forces, and on the slope of the ground. The
+    integrator's input is the difference between the measured pitch acceleration and the prediction of the linear model.
+    In balance, the integrator's input is zero, so the position has no steady-state error. Velocity commands cause no
+    integrator windup, because the linear model predicts their effect.
     """
 
     name = "reference"
@@ -212,7 +212,7 @@ class Reference:
         return self._actions(targets)
 
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        """Update the integrator by one control step, and return the pitch at which each robot balances, rad, (N,).
+        """Update the estimate of each robot's balanced pitch in a control step, and return this pitch, rad, (N,).
 
         ``fresh`` (N,) is true if a new episode starts; ``state`` (3, N) is pitch, pitch rate, and wheel speed.
         """
@@ -227,7 +227,7 @@ class Reference:
         return self.pendulum.lean + self._lean
 
     def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
-        """Return the raw actions for given wheel speeds; all joints but the wheels get their default positions."""
+        """Return raw actions that set the given wheel speeds and keep all other joints at their default positions."""
         data = self._env.scene.robot.data
         limits = data.soft_joint_vel_limits[:, self._wheels]
         speeds = data.default_joint_vel.clone()

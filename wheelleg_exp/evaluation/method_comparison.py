@@ -25,7 +25,7 @@ ALPHA = 0.05  # significance level
 class Interval:
     """A metric's value with the lower and the upper end of its 95 % confidence interval.
 
-    ``floor``, the noise floor, is the difference between repeated measurements that chance exceeds once in 20 times.
+    ``floor`` is the noise floor: two repetitions of the same experiment differ by at most ``floor`` in 95 % of cases.
     """
 
     value: float
@@ -45,8 +45,7 @@ class Test:
         untied: number of pairs that differ; None without pairs.
         difference: second minus first: of shares, the median of the pairs' differences, or of medians without pairs.
         effect: effect size of the test from -1 to 1, positive if the second is larger: the rank-biserial correlation
-            (Kerby, 2014), or the difference of shares. The signs of the effect size and of the median difference
-            disagree if many small and a few large differences between pairs have opposite signs.
+            (Kerby, 2014), or the difference of shares. ``effect`` and ``difference`` can have opposite signs.
     """
 
     test: str
@@ -59,7 +58,7 @@ class Test:
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """A metric over trainings that differ only in the seed; the interval of ``mean`` is a bootstrap over trainings."""
+    """A metric's values in trainings that differ only in the seed, and their mean with a bootstrap interval."""
 
     metric: str
     unit: str
@@ -95,17 +94,17 @@ class Difference:
 
     @property
     def outcome(self) -> str:
-        """The word ``better`` or ``worse`` if two methods differ significantly in a metric, or else an empty text.
+        """``better`` or ``worse`` if the first method differs significantly from the second method, else an empty text.
 
-        A difference is significant if the corrected p value is below ``ALPHA``, and the test and the difference of the
-        means have equal signs. Without a statistical test, a difference of two methods is significant if its confidence
-        interval excludes 0.
+        A difference is significant if its corrected p value is below ``ALPHA``, and if mean, median, and effect size do
+        not have opposite signs. Without a statistical test, a difference of two methods is significant if its
+        confidence interval excludes 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
-        # If the median or the ranks contradict the means, a few episodes dominate the means, so no method is better.
+        # Call no method better if the means favour one method, but the median or the ranks favour the other method.
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
             return ""
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
@@ -130,8 +129,8 @@ def interquartile_mean(values: Array) -> float:
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
     """Return a metric's mean over S training seeds with a percentile interval of a bootstrap over seeds and episodes.
 
-    ``values`` (S,) is the metric of each seed. ``drawn`` contains B bootstrap values of the metric for each seed, (B,)
-    each. With one training seed, the bootstrap interval covers only the variation between episodes.
+    ``values`` (S,) is the metric of each seed. For each seed, ``drawn`` contains an array (B,) with B bootstrap values
+    of the metric. With one training seed, the bootstrap interval covers only the variation between episodes.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
@@ -141,8 +140,8 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
     """Return B bootstrap means over resampled training seeds and over resampled episodes of each seed, (B,).
 
     The episodes of one training seed are not independent samples of the method. The bootstrap resamples first training
-    seeds, and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). With a single
-    training seed, ``clustered_means`` returns the finite values of ``drawn`` without resampling.
+    seeds, and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). For a single
+    training seed, the result is the seed's finite values in ``drawn``, without resampling.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -150,7 +149,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # Repeat each seed's bootstrap values to fill a rectangular array; ``places`` never indexes the repeated values.
+    # Pad short columns to stack all columns in one array; ``places`` never indexes the padding.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -167,11 +166,11 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 
 
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
-    """Return the 95 % quantile of the absolute difference between two randomly drawn bootstrap values of a metric.
+    """Return a metric's noise floor: the 95 % quantile of ``|a - b|`` for random bootstrap values a and b.
 
-    If a method is trained and evaluated twice with equal numbers of seeds and episodes, the two results differ by more
-    than the noise floor once in 20 times. If a metric's bootstrap values are normally distributed, the metric's noise
-    floor is 1.96 √2 times their standard deviation.
+    If the same experiment is repeated, the two results differ by more than the noise floor in 5 % of cases. If a
+    metric's bootstrap values are normally distributed, the metric's noise floor is 1.96 √2 times their standard
+    deviation.
     """
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))
@@ -225,7 +224,7 @@ def holm(tests: Mapping[str, float]) -> dict[str, float]:
     """Return the p values of statistical tests by name, corrected for the number of tests with Holm's method (1979)."""
     ordered = sorted(tests, key=lambda name: tests[name])
     corrected, least = {}, 0.0
-    # In Holm's method, a test with a larger p value must not get a smaller corrected p value.
+    # Holm's method keeps the order: a larger p value never gets a smaller corrected p value.
     for rank, name in enumerate(ordered):
         least = max(least, min(1.0, (len(ordered) - rank) * tests[name]))
         corrected[name] = least
@@ -250,8 +249,8 @@ def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
     """Return the difference of two methods in each common metric; raise RunDirectoryError if their scenarios differ.
 
-    Each method has one evaluation per training seed. Two episodes with equal start states are a pair. For a method with
-    several trainings, the metric's value in a scenario is the mean over all trainings of the method.
+    Each method has one evaluation per training seed. If two methods start from equal states, tests compare pairs of
+    episodes. A paired test first averages each episode's values over the method's training seeds.
     """
     everyone = [*first, *second]
     require_same_scenarios(everyone)

@@ -1,7 +1,7 @@
 """Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
 
 ``POSTURE`` and ``MOTION`` declare metrics with one row each: a formula for the column of episodes, its unit, and its
-reduction. The function ``metrics_of`` returns the metrics of a given test of the evaluation protocol.
+reduction. The function ``metrics_of`` returns all metrics of one test, such as ``walk`` or ``push``.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def skill(columns: Sequence[Array]) -> Array:
 def area(columns: Sequence[Array], band: float) -> Array:
     """Return the share of commands for which no robot fell and no mean relative tracking error exceeded ``band``.
 
-    ``columns`` contains each episode's command index and relative velocity errors (forward, yaw); inf after a fall.
+    ``columns`` contains each episode's command index and relative errors of speed and yaw rate (inf after a fall).
     """
     cell, *errors = columns
     passed = []
@@ -81,7 +81,7 @@ def area(columns: Sequence[Array], band: float) -> Array:
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Return the lowest mean or median (``of``) of all groups of episodes, given each episode's group and value."""
+    """Compute the mean or median (``of``) of each group of episodes, and return the lowest of these results."""
     cell, value = columns
     with warnings.catch_warnings():
         # A bootstrap resample can lack all episodes of a velocity command, and numpy warns about means of empty arrays.
@@ -95,7 +95,7 @@ worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, o
 def highest(columns: Sequence[Array], share: float) -> Array:
     """Return the number of consecutive difficulty levels, from the first, whose success rate is at least ``share``.
 
-    ``columns`` are the difficulty level and the success (1 or 0) of each episode.
+    ``columns`` contains two arrays: the difficulty level and the success (1 or 0) of each episode.
     """
     level, success = columns
     passed, count = np.ones(level.shape[:-1], dtype=bool), np.zeros(level.shape[:-1])
@@ -131,7 +131,7 @@ def surviving(rows: Mapping[str, Array]) -> Array:
 
 
 def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
-    """Return the mask of the episodes whose value in a column differs from the given value."""
+    """Return the mask of the episodes in which ``column`` does not have the given value."""
     return rows[column] != value
 
 
@@ -217,7 +217,7 @@ def percentiles(drawn: Array) -> tuple[float, float]:
 
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return the metrics of a test that can be computed from ``columns``, with tolerance bands from ``protocol``."""
+    """Return those metrics of a test, such as ``walk``, whose columns are given; ``protocol`` sets tolerance bands."""
     options = protocol.get(test) or {}
     if test == "walk":
         found = _of_walking(columns, float(options.get("band", 0.1)))
@@ -236,7 +236,7 @@ def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 class Measure(NamedTuple):
-    """A metric with a formula for each episode's value, (N,); the formula returns None if a robot lacks the metric."""
+    """A metric whose formula returns one value per episode, (N,), or None if the metric does not apply to the robot."""
 
     column: str
     unit: str

@@ -1,7 +1,7 @@
 """Compute columns (one number per episode) of standing, walking, and stepping episodes.
 
 The columns of an evaluation describe drift, tracking errors, responses to command steps, and motor effort. The module
-``metric_catalogue`` computes further numbers per episode from the class ``Motion``.
+``metric_catalogue`` computes further columns, such as power.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _SPEED_HZ = 10.0  # Signal power above 10 Hz counts as chatter, because a robot 
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of N episodes after the settling time, as quantities that several metrics use.
+    """The recorded motion of N episodes, with methods that average over the steps after the settling time.
 
-    ``made`` contains the trajectories of the N episodes, ``settle_s`` is the settling time, s, and ``target`` is the
-    base's target height, m.
+    ``made`` contains the trajectories of the N episodes. ``settle_s`` is the settling time, s. ``target`` is the target
+    height of the base, m.
     """
 
     made: Trajectories
@@ -35,7 +35,7 @@ class Motion:
 
     @cached_property
     def counted(self) -> torch.Tensor:
-        """The mask of the control steps after the settling time in which an episode still runs, (T, N) bool."""
+        """A bool mask (T, N) of the control steps after the settling time and before the end of the episode."""
         return self.made.counted(self.settle_s)
 
     @property
@@ -57,7 +57,7 @@ class Motion:
 
     @property
     def weight_distance(self) -> torch.Tensor:
-        """The robot's weight times the length of its path, J, (N,); NaN for an episode with a zero command."""
+        """The robot's weight times its path length, J, (N,), for the cost of transport; NaN for a zero command."""
         drives = (self.made.command[0] != 0.0).any(dim=-1)
         return torch.where(drives, self.parts.mass * self.parts.gravity * self.distance, torch.nan)
 
@@ -107,8 +107,8 @@ class Motion:
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
     """Return each robot's time of failure, and whether it survived until the end and until each of ``moments``, s.
 
-    For an episode without a failure, ``time_to_failure_s`` is the episode length. The mean of ``time_to_failure_s`` is
-    a lower bound of the true mean time to failure.
+    For an episode without a failure, ``time_to_failure_s`` is the episode length. Because episodes have a limited
+    length, the mean of ``time_to_failure_s`` underestimates the true mean.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -194,9 +194,9 @@ def errors(made: Trajectories, settle_s: float) -> Columns:
 def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
     """Return the steady-state velocity errors, and whether they are within the tolerance band; (N,) each.
 
-    ``off_vx`` and ``off_wz`` are the absolute errors of the mean forward speed and the mean yaw rate as shares of the
-    command; inf after a fall. If a velocity command is zero, the velocity error is divided by the smallest nonzero
-    command. ``in_band`` is 1 if the robot did not fall and both velocity errors are at most ``options.band``, else 0.
+    ``off_vx`` and ``off_wz`` are the absolute errors of mean forward speed and mean yaw rate, divided by the command;
+    inf after a fall. If a velocity command is zero, the velocity error is divided by the smallest nonzero command.
+    ``in_band`` is 1 if the robot did not fall and both velocity errors are at most ``options.band``, else 0.
     ``sign_<axis>`` is 1 if the robot did not fall and moves in the commanded direction, else 0.
     """
     found: Columns = {}
@@ -222,8 +222,9 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     * ``stop_distance``: after the step -c → 0, the distance along the previous heading, m, or the turned angle, rad.
 
     ``asked`` is the velocity command c of each episode, (N, 3). ``stop_s`` and ``stop_distance`` are NaN if the robot
-    did not drive as commanded before the stop. A column such as ``settle_did`` is 1 if the time ``settle_s`` is not
-    NaN, else 0. Each returned column exists with the suffixes ``_vx`` (forward speed) and ``_wz`` (yaw rate).
+    did not drive as commanded before the stop. ``settle_did``, ``reversal_did``, and ``stop_did`` are 1 if the
+    corresponding time is not NaN, else 0. Each returned column exists with the suffixes ``_vx`` (forward speed) and
+    ``_wz`` (yaw rate).
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
@@ -258,8 +259,9 @@ def group_effort(motion: Motion) -> Columns:
     """Return the RMS torques and the saturation of each actuator group, (N,) each.
 
     ``torque_rms_<group>`` is the RMS torque over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of
-    the torques divided by the joints' effort limits. ``saturation_<group>`` is the group's mean share of physics steps
-    at the effort limit, and ``saturation_max_<group>`` is the largest share of a single joint.
+    the torques divided by the joints' effort limits. ``saturation_<group>`` is the share of physics steps at the effort
+    limit, averaged over joints. ``saturation_max_<group>`` is the largest share of physics steps at the effort limit of
+    any joint.
     """
     columns: Columns = {}
     for name, joints in motion.parts.groups.items():

@@ -1,7 +1,7 @@
 """Run a policy in N episodes in parallel, without a reset.
 
-The simulation of an ended episode continues, but metrics ignore its steps after the end. The class ``HeldCommand`` sets
-only the values of the task's velocity command, not the remaining state of the command term.
+The simulation of an ended episode continues, but metrics ignore its steps after the end. The class ``HeldCommand``
+fixes the values that the task's velocity command would draw randomly.
 """
 
 from __future__ import annotations
@@ -93,8 +93,9 @@ class Rollout:
     def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:
         """Run a policy from the start states of ``seed`` until the scenarios' end, or until every episode has ended.
 
-        The policy maps observations by group to raw actions (N, A). ``tell`` is called with the numbers of finished
-        steps and of all steps. ``disturb`` is called with the number of each control step, before the step.
+        The policy maps observations by group to raw actions (N, A). After each control step, ``tell`` is called with
+        the number of finished steps and the number of all steps. ``disturb`` is called with the number of each control
+        step, before the step.
         """
         env = self.env
         observations = self.start(seed)

@@ -31,7 +31,7 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Subject:
-    """The policy to evaluate, with its task, the evaluation protocol, and the seed of the start states."""
+    """The inputs of an evaluation: a policy, its task, the evaluation protocol, and the seed of the start states."""
 
     env_cfg: Mapping[str, Any]
     mjcf: Path
@@ -192,7 +192,7 @@ def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
     """Return columns that contain each episode's test, scenario, number in the scenario, command, and failure cause."""
     table = rollout.scenarios
     cell = table.cell_of()
-    # Store an episode's second velocity command, if it exists, because tests of command steps start at zero velocity.
+    # In the test ``steps``, the first velocity command is zero, so store the second command.
     commands = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()
     endings = np.array([*rollout.endings, ""])
     return {
@@ -227,7 +227,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
 
 
 def joined(parts: list[dict[str, Array]]) -> dict[str, Array]:
-    """Return one table with the episodes of several tests, in which a missing value is NaN or an empty text."""
+    """Join the tables of several tests to one table; a missing number becomes NaN, and a missing text empty."""
     names = list(dict.fromkeys(name for part in parts for name in part))
     found = {}
     for name in names:

@@ -20,9 +20,9 @@ class Scenarios:
     """A table with one episode per row; episodes of a group, called cell, have the same velocity commands over time.
 
     ``times`` (K,) are the start times of the K successive commands, s, and the first start time is 0. ``cells`` (C, K,
-    3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the C cells
-    (groups with equal commands), and ``episodes`` is the number of episodes per cell. ``settings`` are further settings
-    of the episodes as text: pushes, tiles, a changed world.
+    3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the cells, such
+    as ``vx=1 wz=0``. ``episodes`` is the number of episodes per cell. ``settings`` are further settings of the episodes
+    as text: pushes, tiles, a changed world.
     """
 
     test: str

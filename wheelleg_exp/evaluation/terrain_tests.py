@@ -28,7 +28,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # A pit's level floor is not wider on a larger tile, so reduce ``origin_window``, a share of the tile's width.
+    # A pit's floor keeps its width on a larger tile, so ``origin_window``, a share of the tile's width, must shrink.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -58,7 +58,7 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
     """Return the driven distance and the success of each robot, (N,) each.
 
-    ``distance_ratio`` is a robot's distance along its first heading at the last step before a failure, divided by the
+    ``distance_ratio`` is the distance that a robot drives along its first heading before a failure, divided by the
     commanded distance. ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least
     ``distance_share``, else 0. The columns ``kind`` and ``level`` identify the terrain tile of each robot.
     """
@@ -124,8 +124,8 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 class Phases(NamedTuple):
     """Masks (T, N) of T control steps in which N robots are before, on, and behind a strip of rough ground.
 
-    A robot that reached or crossed the strip of rough ground counts as on or behind the strip, even if the robot rolls
-    back. ``before`` covers the last ``quiet_s`` seconds before a robot reaches the strip of rough ground.
+    If a robot rolls back, its control steps still count as on or behind the rough ground. The mask ``before`` selects
+    the last ``quiet_s`` seconds before a robot reaches the rough ground.
     """
 
     before: torch.Tensor
@@ -147,13 +147,13 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     """Return columns (N,) on how each robot crosses a strip of rough ground; NaN for a robot that does not reach it.
 
-    The docstring of the function ``ways`` explains ``distance_ratio`` and ``success``. ``error_vx_before``,
+    ``distance_ratio`` and ``success`` have the same meaning as in the function ``ways``. ``error_vx_before``,
     ``error_vx_on``, and ``error_vx_behind`` are RMS errors of a robot's forward speed before, on, and behind a strip of
     rough ground. ``swing_rad_before``, ``swing_rad_on``, and ``swing_rad_behind`` are RMS deviations of a robot's pitch
     from its mean pitch before a strip of rough ground. ``recovery_s`` is the time from the end of a strip of rough
     ground until a robot's pitch is quiet. The pitch is quiet if its RMS deviation in the next ``recovered_s`` seconds
-    is at most ``quiet_floor``, or ``quiet_factor`` times ``swing_rad_before``. ``recovered`` is 1 if the robot did not
-    fall and ``recovery_s`` is at most ``within_s``, else 0.
+    is at most ``max(quiet_floor, quiet_factor * swing_rad_before)``. ``recovered`` is 1 if the robot did not fall and
+    ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)

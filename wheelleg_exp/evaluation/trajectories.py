@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class EffortMeter(SensorBase):
-    """Sums torques and work over all physics steps, so that metrics include chatter within a control step.
+    """Sums joint torques and work over all physics steps, so that metrics include chatter within a control step.
 
     The environment updates an ``EffortMeter`` like a sensor, but an ``EffortMeter`` is not in the MuJoCo model. Power
     is a joint's torque times the mean of its speeds before and after the physics step. The net power excludes the
-    torque I_a q̈ that only accelerates the armature, and whose work is exactly the armature's kinetic energy.
+    torque I_a q̈, whose work only changes the armature's kinetic energy.
 
-    An actuator is saturated if its torque is at least the share ``saturation`` of the effort limit. The count of torque
-    sign changes ignores torques of at most ``deadband`` times the effort limit. ``dt`` is the physics step, s.
-    ``gross``, ``net``, and ``positive`` are sums of work over a control step, J, (N,), and ``peak`` is the largest
-    positive power of all joints, W, (N,). For each joint (N, J), ``saturated`` is the number of physics steps at the
-    effort limit, ``squares`` is the sum of squared torques, and ``sign_changes`` counts the torque's sign changes.
+    An actuator is saturated if its torque is at least ``saturation`` times the effort limit. The count of torque sign
+    changes ignores torques of at most ``deadband`` times the effort limit. ``dt`` is the physics step, s. ``gross``,
+    ``net``, and ``positive`` (N,) are the mechanical work of a control step, J. ``peak`` (N,) is the control step's
+    largest positive power of all joints together, W. For each joint (N, J), ``saturated`` counts physics steps at the
+    effort limit, ``squares`` sums squared torques, and ``sign_changes`` counts the torque's changes of sign.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -52,13 +52,13 @@ class EffortMeter(SensorBase):
         self._armature = self._data.joint_armature
 
     def begin(self, counted: torch.Tensor | bool) -> None:
-        """Start a control step. ``counted`` is true for robots whose previous control step is used for metrics.
+        """Start a control step. ``counted``, one bool or (N,), says whether metrics use the previous control step.
 
-        If ``counted``, one value or (N,), is false, a change of the torque's sign since the last step is ignored.
+        If ``counted`` is false, ignore a change of the torque's sign between the previous and this control step.
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
-        # If ``counted`` is false, set the stored torque signs to 0: a change from 0 does not count as a sign change.
+        # If ``counted`` is false, set the stored torque signs to 0, so that the next step counts no change of sign.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 
@@ -92,22 +92,23 @@ class EffortMeter(SensorBase):
         return (self.squares / self._steps.clamp(min=1)).sqrt()
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Do nothing at a reset, because the sums of torques and work restart at each control step."""
+        """Do nothing, because the sums of torques and work restart at each control step, not at a reset."""
 
     def refresh(self, env_ids: torch.Tensor) -> None:
-        """Leave the sums of joint torques and mechanical work unchanged; only physics steps add to these sums."""
+        """Do nothing, because only physics steps change the sums of torques and work."""
 
 
 @dataclass
 class Trajectories:
-    """The motion of N episodes over T control steps, in SI units and radians. Values after episodes end are undefined.
+    """The motion of N episodes over T control steps, in SI units and radians.
 
     ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
     root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
-    velocity, both in the base's axes. ``torque`` is the joint torque in the last physics step of each control step.
-    ``torque_rms``, ``saturated`` (a share), and ``sign_changes`` cover all physics steps of a control step. ``work``
-    contains gross, net, and positive mechanical work, and the largest positive power. ``fell_at`` is the number, from
-    1, of the control step in which an episode failed, and ``ended_by`` is the index of the failure's cause.
+    velocity, both in the base's axes. ``torque`` contains the joint torques of the last physics step in each control
+    step. ``torque_rms``, ``sign_changes``, and ``saturated`` (share of steps at the effort limit) use all physics
+    steps. ``work`` contains gross, net, and positive mechanical work, and the largest positive power. ``fell_at`` is
+    the number, from 1, of the control step in which an episode failed, and ``ended_by`` is the index of the failure's
+    cause. After an episode's end, its values are undefined.
     """
 
     dt: float  # s
@@ -253,7 +254,7 @@ def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tenso
 
 
 def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return the entries of ``values`` (T, N, ...) one step before the mask ``counted`` becomes true, (N, ...)."""
+    """Return each episode's entry of ``values`` (T, N, ...) at the step before ``counted`` becomes true, (N, ...)."""
     return values[(counted.int().argmax(dim=0) - 1).clamp(min=0), torch.arange(values.shape[1], device=values.device)]
 
 

@@ -32,9 +32,9 @@ from wheelleg_exp.project.task_yaml import config_files
 
 _FORM = re.compile(r"[A-Za-z][A-Za-z0-9_]*[A-Za-z0-9]")
 _FALLBACK = "my_robot"
-# A project name must not be one of these words, because YAML or Hydra treats the words as values.
+# A project cannot be named ``null`` or ``yes``, because YAML or Hydra reads such words as values.
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
-# A project name must not be one of these names, because they have a meaning in a project, in pytest, or in pip.
+# A project cannot be named ``tests`` or ``build``, because projects, pytest, or pip use these names themselves.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
 _EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
 
@@ -80,7 +80,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-_NEVER_SILENCED = ("missing_files", "robot_size")  # missing_files and robot_size find errors of the robot file.
+_NEVER_SILENCED = ("missing_files", "robot_size")  # Lint rules about errors of the robot file are never silenced.
 _PURPOSES = {
     "action": "the effect of one unit of action",
     "observation": "positions of the legs",
@@ -90,7 +90,7 @@ _PURPOSES = {
 
 
 def project_files(name: str, asset: str, configs: Sequence[str]) -> dict[str, str]:
-    """Return project files' texts by path; ``asset`` is a path in ``assets/``, ``configs`` are files in ``configs``."""
+    """Return the text of each file of a new project by path, except the config files and the robot's files."""
     groups = {file: file.split("/")[0] for file in configs}
     rows = [f"| `configs/{file}` | {_PURPOSES[group]} |" for file, group in groups.items() if group in _PURPOSES]
     words = {"name": name, "asset": asset, "terms": "\n".join(rows)}
@@ -115,7 +115,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True)
 class Created:
-    """A new project at ``path``. ``accepted`` maps each silenced lint rule to the finding that the task accepts."""
+    """A new project at ``path``. ``accepted`` maps each lint rule that the task silences to the rule's message."""
 
     path: Path
     name: str
@@ -190,7 +190,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        # The new task file silences the findings of `wheelleg check --physics`, and quotes each finding as the reason.
+        # Silence each lint rule that reports a finding about the new task, and give the finding as the reason.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 def copy_robot(source: Path, folder: Path) -> Path:
     """Copy a robot file, and every layer, texture, or mesh to which the file refers, to ``folder``.
 
-    Files in the folder of ``source`` keep their relative paths in ``folder``. Files outside of the folder of ``source``
-    get new paths in ``folder``, to which the copied robot file refers. ``copy_robot`` returns the path of the copied
-    robot file.
+    Copied files keep their paths relative to the robot file. Files from outside the robot file's folder get new paths,
+    which the copied robot file then names. ``copy_robot`` returns the path of the copied robot file.
     """
     folder.mkdir(parents=True)
     return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)
@@ -43,7 +42,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {file.resolve() for file in files if file.is_file()}
         if _copied_in_place(source, files, folder):
             return folder / source.name
-        # The USD library also copies files outside of the stage's folder, and updates references to these files.
+        # Let the USD library copy files from outside the robot's folder and update the references to them.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
         if not done or not (folder / source.name).is_file():
             message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
@@ -52,9 +51,9 @@ def _copy_usd(source: Path, folder: Path) -> Path:
 
 
 def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
-    """Return a filter for the USD library that selects the layers, textures, and materials of a robot.
+    """Return a filter with which the USD library copies only the layers, textures, and materials of a robot.
 
-    Without a filter, a robot file that refers to ``/etc/passwd`` would copy the file ``/etc/passwd`` into a project.
+    Without a filter, a project would contain a copy of any file that a robot file names, such as ``/etc/passwd``.
     """
     from pxr import UsdUtils
 
@@ -138,7 +137,7 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
 
 
 def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return the relative path by which a URDF names a mesh; None if the copied URDF needs a different path."""
+    """Return a mesh's relative path if the copied URDF can keep this path, or None if the copy needs a new path."""
     plain = Path(os.path.normpath(name))
     if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
         return None

@@ -39,11 +39,11 @@ _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that 
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains and limits of a group of actuators; each field such as ``stiffness`` maps joint names to values.
+    """The gains and limits of a group of actuators; dictionaries such as ``stiffness`` map joint names to values.
 
     Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
-    contains the names of the quantities whose values are from the robot file. ``refused`` lists unusable gains and
-    limits of the robot file, with the reasons.
+    names the fields, such as ``stiffness``, whose values are all from the robot file. ``refused`` lists unusable gains
+    and limits of the robot file, with the reasons.
     """
 
     stiffness: dict[str, float]
@@ -57,10 +57,10 @@ class Gains:
 def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     """Return the gains of position-controlled joints, which are the leg joints by default.
 
-    If the robot file has no usable drive, a joint gets a bandwidth of 3 Hz, a static error of at most 0.05 rad under
-    the weight, a damping ratio under load of 0.7, and an effort limit of three times the torque that carries the
-    weight. A stiffness from the robot file is refused if the weight would bend the joint by more than 0.35 rad, or if
-    the drive would be unstable with the physics time step.
+    By default, a joint has a bandwidth of 3 Hz and a damping ratio of 0.7 under load. The default stiffness of a joint
+    allows a static error of at most 0.05 rad under the weight. The default effort limit is three times the torque that
+    carries the weight. A stiffness from the robot file is refused if it is too small for the weight, too large for the
+    effort limit, or unstable with the physics time step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
@@ -102,13 +102,13 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
 
 @dataclass(frozen=True)
 class _Load:
-    """The load that a leg joint moves.
+    """The inertias and torques from which the default gains of a leg joint are computed.
 
     ``inertia`` (kg·m²) is the inertia that the joint's torque accelerates while all other joints are free. ``carried``
-    (kg·m²) is the inertia of the part of the robot that the joint carries. ``holds_now`` (N·m) is the torque that holds
-    the default pose, and ``hold`` (N·m) the torque that holds the weight at a lever of at least a quarter of the leg's
-    length. ``stiffest`` (N·m/rad) is a stable stiffness, at which an undamped joint oscillates with a phase of one
-    radian per step.
+    (kg·m²) is the inertia of the carried mass, as a point mass at the lever of the weight. ``holds_now`` (N·m) is the
+    torque that holds the default pose. ``hold`` (N·m) is the larger of ``holds_now`` and the torque of the weight at a
+    lever of a quarter of the leg's length. ``stiffest`` (N·m/rad) is the stiffness at which the undamped joint
+    oscillates at one radian per physics step.
     """
 
     inertia: float
@@ -132,8 +132,8 @@ def _load(robot: Survey, name: str) -> _Load:
 def wheel_gains(robot: Survey) -> Gains:
     """Return the gains of the wheels; the stiffness is 0, because wheels follow speed targets.
 
-    If the robot file has no usable drive, the damping gives the wheel's speed a time constant of 0.1 s. The effort
-    limit is 1.5 times the torque at which the wheel slips, and the velocity limit is 2 m/s on the ground.
+    The default damping gives the wheel's speed a time constant of 0.1 s. The default effort limit is 1.5 times the
+    torque at which the wheel slips, and the default velocity limit is 2 m/s on the ground.
     """
     facts, count = robot.facts, max(1, len(robot.wheels))
     share = facts.mass / count * robot.radius**2
@@ -161,7 +161,7 @@ def wheel_gains(robot: Survey) -> Gains:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return one gain or limit for each joint, and whether the robot file contains the values of all joints."""
+    """Return one kind of gain or limit for each joint, and whether the robot file gives a value for every joint."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -323,7 +323,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``indent`` is the indentation of a long YAML list's further lines; ``used`` is the width of text before the list.
+    ``used`` is the number of characters to the left of the list, and ``indent`` the indentation of its further lines.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

@@ -43,8 +43,8 @@ _LEAN = math.radians(0.5)  # smaller leans are ignored
 class Standing:
     """How a robot stands.
 
-    ``frame`` is the rotation (w, x, y, z) from the root link's frame in the robot file to a new frame of the root link.
-    ``frame`` is None if the robot file's root frame has x forwards and z upwards. ``rotation`` is the rotation of the
+    ``frame`` (w, x, y, z) rotates the root link's frame so that x points forwards and z upwards. ``frame`` is None if
+    the root link's frame in the robot file already has x forwards and z upwards. ``rotation`` is the rotation of the
     root link in the world (w, x, y, z). ``positions`` maps leg joints to positions, rad or m. ``stance`` is None for a
     robot that has no wheels. ``lean`` is the pitch of the base, rad, positive if the front is lower.
     """
@@ -57,7 +57,7 @@ class Standing:
 
 
 def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
-    """Choose the standing pose of a robot, near the pose ``qpos`` of shape (nq,)."""
+    """Compute a pose in which the robot stands, near the pose ``qpos`` (nq,)."""
     stance = solve_stance(model, anatomy, qpos)
     lean = stance.lean if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN else 0.0
     frame = _frame(anatomy, lean)
@@ -66,9 +66,9 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the rotation from the robot file's root frame to axes x forwards and z up, for a base pitch of ``lean``.
+    """Return the rotation from the file's root frame to a frame with x forwards and z upwards at the pitch ``lean``.
 
-    If the forward, left, and up directions are nearly parallel to axes of the robot file, the file's axes replace them.
+    If forward, left, and up are within 15 degrees of the robot file's coordinate axes, these axes are used instead.
     """
     if anatomy.forward is None or anatomy.left is None:
         return None
@@ -96,15 +96,16 @@ _EXPECTED = "a robot with joints to drive and colliders to stand on"
 class Survey:
     """A robot and its dimensions in its default pose.
 
-    ``dofs`` contains the degrees of freedom in the robot's order, breadth first. ``legs`` contains the driven joints
-    between base and wheels; for a robot without wheels, all driven joints. ``held`` contains the driven joints that no
-    action of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains
-    the joint positions of the default pose, rad or m. ``standing`` is the computed standing pose, or None if the caller
-    of ``survey`` gave joint positions. ``overlaps`` contains the overlap depth, m, of each pair of overlapping links
-    that can touch. ``radius`` is the radius of the wheels, m. ``size`` is the height of the root link or of the centre
-    of mass, m, whichever is larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest
+    ``dofs`` maps joint names to degrees of freedom, in breadth-first order. ``legs`` contains the driven joints between
+    base and wheels; for a robot without wheels, all driven joints. ``held`` contains the driven joints that no action
+    of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains the
+    joint positions of the default pose, rad or m. ``standing`` is the computed standing pose, or None if the caller of
+    ``survey`` gave joint positions. ``overlaps`` maps pairs of link names to the depth, m, by which the two links
+    overlap. ``radius`` is the radius of the wheels, m. ``size`` is the height of the root link or of the centre of
+    mass, m, whichever is larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest
     link that is fixed to the root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground.
-    ``raised_bodies`` have colliders but do not touch the ground. ``notes`` contains messages for the user.
+    ``raised_bodies`` have colliders but do not touch the ground. ``notes`` contains warnings about the robot for the
+    user.
     """
 
     dofs: dict[str, Dof]
@@ -136,9 +137,9 @@ class Survey:
 def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
-    ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps joint expressions to positions
-    that replace the robot file's default joint positions. If ``allow_missing`` is true, collider files may be missing.
-    An unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
+    ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps regular expressions of joint
+    names to positions, which replace those of the robot file. If ``allow_missing`` is true, collider files may be
+    missing. An unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")

@@ -205,7 +205,7 @@ def _tolerance(robot: Survey) -> float:
 
 
 def _wheel_scale(robot: Survey) -> float:
-    """Return the wheel speed (rad/s) for an action of 1. At standstill, an action of 1 needs 25 % of full torque."""
+    """Return the wheel speed (rad/s) for an action of 1, which needs 25 % of the effort limit at standstill."""
     gains = wheel_gains(robot)
     wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
     return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())

@@ -102,11 +102,11 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
 def replay_environ(
     recorded: Mapping[str, str], environ: Mapping[str, str] | None = None, also: Collection[str] = ()
 ) -> dict[str, str]:
-    """Return the environment variables for a process that must compute the same numbers as a recorded run.
+    """Return environment variables with which a new process computes the same numbers as a recorded run.
 
-    Environment variables that change computed numbers, and those in ``also``, get the values recorded with the run. The
-    returned environment lacks variables that change computed numbers and that the recorded run did not have. Variables
-    for paths, devices, and preloaded libraries get the values of the present process, not of the recorded run.
+    Environment variables that affect numbers, such as ``OMP_NUM_THREADS``, and those in ``also`` get their recorded
+    values. Environment variables that affect numbers but have no recorded value are removed. Environment variables for
+    paths, devices, and preloaded libraries keep their present values.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
@@ -132,7 +132,7 @@ def distributions() -> list[str]:
         head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
         if "Name" in head:  # A broken installation of a package can lack metadata.
             key = re.sub(r"[-_.]+", "-", head["Name"]).lower()
-            # Of several packages with one name, keep the first on ``sys.path``, which is the one that Python imports.
+            # If a package is installed twice, keep the first one on ``sys.path``, because Python imports this one.
             found.setdefault(key, f"{head['Name']}=={head.get('Version', '')}{_origin(distribution)}")
     return [found[key] for key in sorted(found)]
 

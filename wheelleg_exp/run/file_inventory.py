@@ -28,11 +28,11 @@ class FileRecord(TypedDict):
 class FileFindings:
     """The sorted relative paths of a run's files that differ from the run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # files of the manifest that are missing or are symbolic links
+    missing: list[str] = field(default_factory=list)  # files in the manifest that do not exist or are symbolic links
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=list)  # The symbolic links that the manifest does not list.
+    links: list[str] = field(default_factory=list)  # symbolic links that the manifest does not list
 
     def __bool__(self) -> bool:
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
@@ -92,8 +92,7 @@ def odd_entries(directory: Path) -> dict[str, str]:
 def relative_name(directory: Path, path: Path) -> str:
     """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
 
-    A relative ``path`` is resolved against the working directory, or against ``directory`` if the first result is
-    outside ``directory``.
+    A relative ``path`` can start at the working directory or at ``directory``.
     """
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):

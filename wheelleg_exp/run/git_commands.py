@@ -31,7 +31,7 @@ _SETTINGS = dict.fromkeys(("core.fsmonitor", "core.splitIndex", "core.untrackedC
 _SETTINGS |= {"core.hooksPath": os.devnull, "gc.auto": "0"}
 
 # Git must neither prompt for input nor download the objects that a partial clone lacks.
-# A download of git objects could run an untrusted program that the repository's settings name.
+# To download objects, git could run an untrusted program that is named in the repository's settings.
 _ALONE = {"LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "GIT_ALLOW_PROTOCOL": ""}
 
 
@@ -49,7 +49,7 @@ class Repository:
 
     top: Path
     environ: dict[str, str] = field(default_factory=dict)  # environment variables that are set for each git command
-    settings: dict[str, str] = field(default_factory=dict)  # git settings that replace the user's git settings
+    settings: dict[str, str] = field(default_factory=dict)  # git settings that override the user's git config
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return the command's output; raise GitError for a failure."""
@@ -109,15 +109,15 @@ def split_nul(output: bytes) -> list[str]:
 
 
 def join_nul(names: Iterable[str]) -> bytes:
-    """Return one text for git's standard input that contains the file names, with a NUL byte after each name."""
+    """Join file names to bytes for git's standard input, with a NUL byte after each name."""
     return b"".join(os.fsencode(name) + b"\0" for name in names)
 
 
 @contextmanager
 def scratch_index(repository: Repository) -> Iterator[Repository]:
-    """Yield a copy of ``repository`` that uses a temporary copy of git's index and a temporary git object store.
+    """Yield a ``Repository`` of the same working tree whose git commands use a temporary index and object store.
 
-    Git commands on the copy of a repository run no filter programs, and do not change the user's index or object store.
+    The git commands of the yielded ``Repository`` run no filters, and do not change the user's index or object store.
     """
     index = repository.top / repository.text("rev-parse", "--git-path", "index")
     objects = repository.top / repository.text("rev-parse", "--git-path", "objects")

@@ -21,14 +21,14 @@ class Line:
     iteration: int
     digests: dict[str, str]  # by name
     scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
-    digest_format: int | None = None  # ``digest_format`` is the version of the algorithm that computed ``digests``.
+    digest_format: int | None = None  # version of the hash algorithm that computed ``digests``
     content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
-    end: int = 0  # ``end`` is the offset in bytes in ``iterations.jsonl`` at which this iteration's line ends.
+    end: int = 0  # byte offset in ``iterations.jsonl`` at which the iteration's line ends
 
 
 @dataclass(frozen=True)
 class IterationLog:
-    """A run's logged training iterations, without gaps (``lines[i].iteration == i``), and the log file's problems."""
+    """The iterations in a run's log file, without gaps (``lines[i].iteration == i``), and the file's problems."""
 
     lines: list[Line] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)

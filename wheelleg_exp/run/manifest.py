@@ -37,16 +37,16 @@ from wheelleg_exp.user_exceptions import is_interrupt
 
 @dataclass(frozen=True)
 class Optional:
-    """The type of a manifest value that can be missing or null."""
+    """The type of a manifest key that may be missing or null, and otherwise has a value of the type ``kind``."""
 
     kind: Any
 
 
 def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
-    """Yield the key ``path``, or the keys below ``path``, whose values have the wrong type.
+    """Yield the dotted path of each key in ``value`` whose value does not have the type in ``kind``.
 
     ``kind`` is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
-    kinds. Keys of ``value`` that a mapping ``kind`` lacks can have values of any type.
+    kinds. Keys of ``value`` that ``kind`` does not contain can have values of any type.
     """
     if isinstance(kind, Optional):
         if value is not None:
@@ -63,7 +63,7 @@ def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 FORMAT = 2
-FORMAT_WITH_VALUE_DIGEST = 1  # In manifest format 1, ``sha256`` hashes the manifest's values, not the file's bytes.
+FORMAT_WITH_VALUE_DIGEST = 1  # In manifests of format 1, ``sha256`` is a hash of the values, not of the file's bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
 
 _FILES = {str: {"sha256": str, "size": int}}
@@ -112,8 +112,8 @@ _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
     """Return a document as JSON text that ends with ``sha256``, a hash of the JSON text.
 
-    The hash is computed while ``sha256`` consists of 64 zeros. If ``broken`` is true, ``sha256`` remains 64 zeros,
-    because a valid hash would hide that a user changed the JSON file by hand.
+    To compute the hash, ``sha256`` is first set to 64 zeros. If ``broken`` is true, ``sha256`` stays 64 zeros, so that
+    no valid hash hides a manual change of the file.
     """
     text = dump_json({**_without_digest(document), _DIGEST_KEY: _NO_DIGEST})
     digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -122,7 +122,7 @@ def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> st
 
 
 def bytes_match_digest(data: bytes) -> bool:
-    """Return whether ``data`` is an unchanged JSON text, with a valid hash, from the function ``text_with_digest``."""
+    """Return whether ``data``, the bytes of a JSON file, match the hash ``sha256`` at the end of the file."""
     found = _END.search(data)
     if found is None:
         return False
@@ -145,10 +145,10 @@ def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Ended = Literal["finished", "interrupted", "failed"]
 
-# A run writes the files in ``SNAPSHOT`` only before its first step; other files can grow during the training.
+# A run writes the files in ``SNAPSHOT`` before its first training step, and does not change them during the training.
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
-# `wheelleg resume` replaces the values of `_PROCESS_KEYS` in a run's manifest, and stores the old values in `resumes`.
+# `wheelleg resume` overwrites the manifest keys in `_PROCESS_KEYS`, and keeps their old values in the key `resumes`.
 _PROCESS_KEYS = (
     *("status", "error", "ended", "process", "versions", "hardware", "threads", "environment_variables"),
     "files",
@@ -237,7 +237,7 @@ class Manifest:
             tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
         for name in (name for table in tables for name in table):
             if not is_inside(name):
-                raise RunDirectoryError(f"the manifest names the file {name!r} outside the run directory", where=where)
+                raise RunDirectoryError(f"the manifest's file {name!r} is outside the run directory", where=where)
         return cls(path, data)
 
     @property
@@ -284,10 +284,10 @@ class Manifest:
         *,
         now: datetime | None = None,
     ) -> None:
-        """Record how the run ended, and the hash of every file of the run; all files of the run must be closed.
+        """Write the run's final status and the hashes of its files into the manifest; all files must be closed.
 
-        The entries of ``results`` are added to the results in the manifest. ``error`` is the exception that made the
-        run fail.
+        ``results`` are added to the results that the manifest already contains. ``error`` is the exception that made
+        the run fail.
         """
 
         def change(data: dict[str, Any]) -> None:
@@ -311,9 +311,8 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        A new entry in the manifest's list ``resumes`` stores the old values of replaced manifest keys, and ``facts``
-        about the resume. If the resume has overrides, ``texts`` maps the relative path of each changed config file to
-        the file's new text.
+        A new entry in the manifest's list ``resumes`` contains ``facts`` and the values that the resume replaces.
+        ``texts`` maps the path of each config file that the resume changes to the file's new text.
         """
         texts = dict(texts or {})
 
@@ -334,7 +333,7 @@ class Manifest:
         self.write_pending()
 
     def write_pending(self) -> None:
-        """Write the changed config files of the last resume if the resume crashed before it wrote these files."""
+        """Write the config files that the last resume changed, unless the resume has already written them."""
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
@@ -379,7 +378,7 @@ class Manifest:
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
-        """Return whether a file of the run matches the newest hash of the file in the manifest; True without a hash."""
+        """Return whether a file of the run matches its newest hash in the manifest; True if the manifest has none."""
         record = self.recorded_files().get(path.name)
         return record is None or record["sha256"] == sha256(path)
 

@@ -1,10 +1,10 @@
-"""Read the parameters, the config, the overrides, and the robot's hashes from which a run was built.
+"""Read the inputs of a run from its directory: parameters, config, overrides, and hashes of the robot files.
 
 ``params/env.yaml`` and ``params/agent.yaml`` contain all parameters that rebuild the environment and agent of the run.
-The file ``.hydra/config.yaml`` contains unresolved ``${...}`` and is not trusted. Each ``${...}`` in the config is
-resolved from the config's own keys and the environment variables stored with the run. To resolve ``${...}``, no
-environment variable of this process is read and no user-defined resolver is called. The overrides recorded with a run
-can change config values, but not Hydra's own settings.
+The file ``.hydra/config.yaml`` contains unresolved ``${...}``, and anyone can have changed the file. Each ``${...}`` in
+the config is resolved from the config's own keys and the environment variables stored with the run. Resolving
+``${...}`` reads no environment variable of this process, and calls no user-defined resolver. The overrides recorded
+with a run can change config values, but not Hydra's own settings.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads"
 
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
-    """Raise RunDirectoryError if a parameter of the run contains ``${``, because runs store resolved parameters."""
+    """Raise RunDirectoryError if a parameter contains ``${``, because runs store only resolved parameters."""
     for key in _unresolved(params, ""):
         message = "the value contains '${', but parameters are not resolved again"
         raise RunDirectoryError(message, key=key, where=where, expected="a plain value")
@@ -71,7 +71,7 @@ def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
     # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
-        return dict(env)  # A later check of the config reports a value of the wrong type.
+        return dict(env)  # A later check of the config reports the wrong type of ``scene`` or ``sim``.
     scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
     if isinstance(scene.get("ground"), Mapping):
         plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
@@ -84,7 +84,7 @@ def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
     # By default, the commands evaluate, play, and export simulate with MuJoCo on the CPU, which needs no GPU.
     # The metrics of two evaluations are comparable only if both evaluations use the same physics engine.
     if not isinstance(env.get("sim"), Mapping):
-        return dict(env)  # A later check of the config reports a value of the wrong type.
+        return dict(env)  # A later check of the config reports the wrong type of ``sim``.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
@@ -100,13 +100,13 @@ def _load_mapping(path: Path) -> dict[str, Any]:
 
 
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
-# A run directory stores the config sections in ``SECTIONS`` only with unresolved interpolations.
+# Only the file ``.hydra/config.yaml`` contains the config sections in ``SECTIONS``, with unresolved interpolations.
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
 _MAX_STEPS = 10_000  # The largest number of interpolations that are resolved in one config.
 _MAX_LETTERS = 100_000  # The largest total number of characters in config values with interpolations.
 _NO_DEFAULT = object()
-# ``_FORBIDDEN`` matches a command option, a setting of Hydra itself, or a resolver call.
+# ``_FORBIDDEN`` matches command options such as ``-cn``, overrides of ``hydra``, and resolver calls ``${name:...}``.
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
@@ -153,9 +153,8 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Raise RunDirectoryError, which names the file ``path``, unless each word in this file is a config override."""
+    """Raise RunDirectoryError unless all words, read from the file ``path``, are allowed config overrides."""
     # Do not trust overrides that are read from a file, because anyone can have changed the file.
-    # A recorded override must not be a command option, a setting of Hydra itself, or a resolver call.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
             expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
@@ -177,8 +176,8 @@ def resolved(
 ) -> dict[str, Any]:
     """Return a config or some config sections; each ``${...}`` is resolved from the config and the given variables.
 
-    ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. ``absent`` returns the
-    value of an environment variable that has neither an entry in ``variables`` nor a default in the config.
+    ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. ``absent(NAME)``
+    returns the value of a variable without an entry in ``variables`` and without a default.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
@@ -207,7 +206,7 @@ def _strings(node: Any) -> Iterator[str]:
 
 @contextmanager
 def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
-    """Inside the ``with`` block, let OmegaConf call only a limited number of resolvers that read the config."""
+    """Inside the ``with`` block, let OmegaConf call only built-in resolvers, and limit the number of interpolations."""
     from omegaconf import OmegaConf
     from omegaconf.base import Container
     from omegaconf.basecontainer import BaseContainer

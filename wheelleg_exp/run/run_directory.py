@@ -44,12 +44,12 @@ PIPELINE_NAME = "pipeline.json"
 
 
 def is_pipeline(folder: Path) -> bool:
-    """Return whether a folder has a pipeline's index file but no manifest; a manifest would mark a run directory."""
+    """Return whether a folder belongs to a pipeline: it contains ``pipeline.json``, but not the manifest of a run."""
     return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
 
 
 def pipeline_error(folder: Path) -> RunDirectoryError | None:
-    """Return the error for a pipeline's folder that a user gives instead of a run; None for any other folder."""
+    """Return an error that lists the runs of a pipeline if ``folder`` belongs to a pipeline; otherwise, return None."""
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
@@ -125,8 +125,8 @@ class RunDirectory(os.PathLike[str]):
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        With ``odd=True``, links, pipes, and devices in the run directory raise no error. A caller that passes
-        ``odd=True`` must report links, pipes, and devices in the run directory, and must not open them.
+        Links, pipes, and devices in the run directory raise RunDirectoryError unless ``odd`` is true. A caller that
+        passes ``odd=True`` must report links, pipes, and devices itself, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()
@@ -229,7 +229,7 @@ def start_moment(folder: Path) -> datetime:
 
 
 def task_folders(root: Path) -> list[Path]:
-    """Return the folders below ``root``, each of which contains the runs of one task."""
+    """Return the task folders in ``root``; each task folder contains the runs of one task."""
     with for_people(root, "read"):
         folders = root.iterdir() if root.is_dir() else ()
         return [p for p in folders if p.is_dir() and p.name not in _NOT_TASKS and p.name[0] != "."]

@@ -83,7 +83,7 @@ class _RunIndex:
         data = read_json(path)
         if not isinstance(data, dict) or not isinstance(data.get(cls.ENTRIES), list):
             expected = f"a mapping with '{cls.ENTRIES}'"
-            raise RunDirectoryError(f"the file does not list runs of a {cls.KIND}", where=str(path), expected=expected)
+            raise RunDirectoryError(f"the file is not the index of a {cls.KIND}", where=str(path), expected=expected)
         if data.get("format") != _FORMAT:
             message = f"{cls.KIND} format {data.get('format')!r} is unknown"
             raise RunDirectoryError(message, where=str(path), expected=f"format {_FORMAT}")
@@ -112,9 +112,9 @@ class SweepIndex(_RunIndex):
 
     The index file ``sweep.json`` contains the sweep's command, start and end time, process, launcher, status, and jobs.
     A sweep's ``status`` is ``running``, ``finished``, ``interrupted``, or ``failed`` if a job did not finish. A job's
-    ``number`` counts from 1. A job's ``overrides`` are all overrides of the job, and ``swept`` contains the overrides
-    in which the jobs of the sweep differ. A job's ``run`` is the path of the job's run directory, relative to the
-    sweep's folder. A job that never started has the status ``waiting``.
+    ``number`` counts from 1. A job's ``overrides`` are all of its config overrides, and ``swept`` contains only those
+    that the sweep varies. A job's ``run`` is its run directory, as a path relative to the sweep's folder. A job that
+    never started has the status ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -131,7 +131,7 @@ class SweepIndex(_RunIndex):
     ) -> SweepIndex:
         """Create the folder and the index file of a new sweep below ``root``, the folder of all runs.
 
-        ``jobs`` contains, for each job of the sweep, all config overrides and the overrides in which the jobs differ.
+        ``jobs`` contains two lists per job: all of its config overrides, and only the overrides that the sweep varies.
         """
         entries: list[dict[str, Any]] = []
         for number, (overrides, swept) in enumerate(jobs, 1):
@@ -182,9 +182,9 @@ class PipelineIndex(_RunIndex):
     The index file ``pipeline.json`` contains the pipeline's command, config, overrides for all phases, and resumes. A
     pipeline's ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not
     pass. A phase's ``why`` is the reason to continue or to stop the pipeline after the phase. A phase's ``digest`` is a
-    hash of the phase's config. A phase's ``run`` and ``init_from`` are paths of run directories, relative to the
-    pipeline's folder. In the entry of a training phase, ``trained`` is the number of finished iterations, and ``gates``
-    contains the evaluation results that decide whether the phase passed.
+    hash of the phase's config. The run directories ``run`` and ``init_from`` of a pipeline phase are paths relative to
+    the pipeline's folder. ``trained`` is the number of finished training iterations of a pipeline phase. ``gates`` are
+    the evaluation results that decide whether a pipeline phase passed.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
@@ -203,8 +203,8 @@ class PipelineIndex(_RunIndex):
     ) -> PipelineIndex:
         """Create the folder and the index file of a new pipeline below ``root``, the folder of all runs.
 
-        ``config`` is the pipeline's config as JSON values; ``overrides`` apply to all phases; ``digests`` maps the name
-        of each phase to a hash of the phase's config.
+        ``config`` is the pipeline's config as JSON values. ``overrides`` apply to all training phases. ``digests`` maps
+        the name of each phase to a hash of the phase's config.
         """
         phases: list[dict[str, Any]] = []
         for name, digest in digests.items():

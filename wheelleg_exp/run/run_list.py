@@ -31,7 +31,7 @@ CRASHED, DAMAGED = "crashed", "damaged"
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
 _TAIL_BYTES = 65536  # The number of bytes to read at the end of iterations.jsonl; all lines of this file are shorter.
-# ``FIGURES`` maps each performance metric of a training to the name of a logged scalar.
+# ``FIGURES`` maps short names of performance metrics to the names of scalars in the training log.
 FIGURES = {
     "return": "Train/mean_reward",
     "episode_length": "Train/mean_episode_length",
@@ -45,13 +45,13 @@ class RunSummary:
 
     id: str
     task: str
-    status: str  # The status in the manifest; ``crashed`` marks a killed run, and ``damaged`` an unreadable manifest.
+    status: str  # status in the manifest, or ``crashed`` for a killed run, or ``damaged`` for an unreadable manifest
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # ``problem`` describes a run's failure, damaged manifest, or episodes with NaN or inf.
+    problem: str | None = None  # error of a failed or damaged run, or a note on episodes with NaN or inf
     failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
     iterations: int | None = None  # finished iterations
@@ -59,7 +59,7 @@ class RunSummary:
     checkpoint: int | None = None  # The iteration of the run's last checkpoint.
     resumable: bool = False  # True if ``wheelleg resume`` can continue the run.
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)  # The training's last value of each metric in FIGURES.
+    figures: dict[str, float] = field(default_factory=dict)  # last logged values of the metrics in FIGURES
     played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last ``wheelleg play``.
     evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
@@ -95,7 +95,7 @@ def summarize(folder: Path) -> RunSummary:
         written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
         total = int(written[1]) if written else None
     match = _FOLDER.fullmatch(folder.name)
-    results: dict[str, dict[str, Any]] = {}  # maps a command, such as ``play``, to its newest results in the manifest
+    results: dict[str, dict[str, Any]] = {}  # newest results of each command, such as ``play``
     bundles = []
     for entry in data["additions"]:
         kind, found = str(entry.get("kind")), entry.get("results")
@@ -134,7 +134,7 @@ def non_finite_note(results: Mapping[str, Any]) -> str | None:
 
 
 def effective_status(manifest: Manifest) -> str:
-    """Return a run's status from the manifest, or ``crashed`` for a ``running`` run whose process has ended."""
+    """Return the status in the manifest, or ``crashed`` if the status is ``running`` but the process has ended."""
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
         return CRASHED
     return manifest.status
@@ -142,7 +142,7 @@ def effective_status(manifest: Manifest) -> str:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """The facts that ``wheelleg list sweeps`` shows about a sweep; ``jobs`` contains the number of jobs by status."""
+    """The facts about a sweep that ``wheelleg list sweeps`` shows; ``jobs`` maps a job status to the number of jobs."""
 
     id: str
     status: str
@@ -180,9 +180,9 @@ def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | No
     if checkpoint is None:  # A run without a checkpoint can be resumed if its config and robot files exist.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # If the log ends before the last checkpoint, a resumed log would have a gap.
+    if (done or 0) < computed:  # A resume from the checkpoint would leave a gap in the iteration log.
         return False
-    # If all iterations are done, a resume can only add a missing exported policy.
+    # A run that stopped between its last iteration and the export can be resumed to export the policy.
     return computed < total or (computed == total and status != "finished")
 
 

@@ -121,7 +121,7 @@ class RunLock:
 
     def _try(self) -> bool:
         try:
-            # O_NOFOLLOW prevents that the target of a symbolic link is truncated.
+            # O_NOFOLLOW refuses a symbolic link as lock file, because ``ftruncate`` would empty the link's target.
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -17,7 +17,7 @@ State = str | None  # The state of a path is the path's git mode and blob id, or
 
 @dataclass(frozen=True)
 class FileChanges:
-    """The sorted paths of the files that differ between two source trees."""
+    """The sorted paths of files that were added, removed, or changed between two source trees."""
 
     added: list[str] = field(default_factory=list)
     removed: list[str] = field(default_factory=list)
@@ -73,17 +73,17 @@ def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositorie
 
 
 def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return git mode and blob id of each path that differs between a source tree and its commit; None if deleted."""
+    """Return git mode and blob id of each file with uncommitted changes, by path; None for a deleted file."""
     return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
 
 
 def state(mode: str, blob: str) -> State:
-    """Return the git mode and blob id of a path in a git tree as text."""
+    """Return a file's git mode and blob id as one text, or None for a file that does not exist."""
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 
 def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
-    """Return each changed path's state in the base commit and in the source tree; None if no changes are recorded."""
+    """Return each changed file's git states in the base commit and in the source tree; None if not recorded."""
     found = record.get("contents")
     valid = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
     return found if valid else None
@@ -95,7 +95,7 @@ def _compare(
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
-        # If the dictionary ``between`` lacks a path, the file is equal in the git commits of both source trees.
+        # A file that is not in ``between`` is equal in both git commits.
         return between[path][side] if path in between else other[path][0]
 
     found = FileChanges()
@@ -107,7 +107,7 @@ def _compare(
 
 
 def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[State, State]] | None:
-    """Return the states of the paths that differ between two git commits; None if no repository has both commits."""
+    """Return both git states of each file that differs between two commits; None if no repository has both commits."""
     if a == b:
         return {}
     if not all(isinstance(base, str) and OBJECT_ID.fullmatch(base) for base in (a, b)):

@@ -1,10 +1,10 @@
 """Store the state of the source tree with the run: a commit, a tree id, and a patch that restores the tree.
 
 ``git.json`` describes the repository of each source folder; the main repository is the first. The patch
-``source.patch`` (``source_2.patch`` for a second repository) changes the recorded commit to the recorded source tree,
-including untracked and binary files. Neither the folder of runs nor any file that git ignores is stored. The snapshot
-does not contain submodules, nested repositories, folders without git, and files that git passes through a filter
-program such as Git LFS. ``git.json`` lists the files that the snapshot lacks, and then contains ``exact: false``.
+``source.patch`` contains all changes since the commit, including untracked and binary files. The patch of a second
+repository is ``source_2.patch``. Neither the folder of runs nor any file that git ignores is stored. The snapshot does
+not contain submodules, nested repositories, folders without git, and files that git passes through a filter program
+such as Git LFS. ``git.json`` lists the files that the snapshot lacks, and then contains ``exact: false``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from wheelleg_exp.run.source_changes import state
 SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
-# In git.json, a repository with the status "ok" or "no_commits" has a patch that restores the source files.
-# If a repository's status is neither "ok" nor "no_commits", its note in git.json says why no patch was stored.
+# A repository in git.json has a patch only if its status is "ok" or "no_commits"; otherwise, its note says why not.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
@@ -64,7 +63,7 @@ class _WorkingTree:
 
 
 def source_entries(record: Any) -> list[Mapping[str, Any]]:
-    """Return the entry of each git repository in a ``git.json``, the main one first; skip values of a wrong type."""
+    """Return the entries of all repositories in ``git.json``, the main repository first; skip malformed entries."""
     others = record.get("others") if isinstance(record, Mapping) else None
     return [entry for entry in (record, *(others if isinstance(others, list) else ())) if isinstance(entry, Mapping)]
 
@@ -117,7 +116,7 @@ def new_record(status: Status, root: Path | None, note: str | None) -> dict[str,
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
-    """Return whether ``root`` is in a ``site-packages`` folder; if ``above`` is given, only folders below it count."""
+    """Return whether ``root`` is in a ``site-packages`` folder, regardless of the folder ``above`` and its parents."""
     parts = root.parts if above is None else root.relative_to(above).parts
     return any(part in _INSTALL_FOLDERS for part in parts)
 
@@ -132,7 +131,7 @@ def content_digest(root: Path) -> str:
 
 
 def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
-    """Return the git repositories of the source folders; for a folder outside git, return a record with the reason."""
+    """Group source folders by git repository; a folder outside git becomes a record that says why it is not stored."""
     groups: dict[Path, _WorkingTree | dict[str, Any]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
@@ -197,7 +196,7 @@ def _distribution_of(root: Path) -> str | None:
 
 
 def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dict[str, Any], bytes | None]:
-    """Return the ``git.json`` entry and the patch of a repository; the patch is None if it is too large or missing."""
+    """Return a repository's entry for ``git.json``, and its patch, or None if the patch is too large or git fails."""
     repository = tree.repository
     record = new_record("ok", repository.top, None)
     record["folders"] = tree.folders
@@ -222,7 +221,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
 
 
 def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
-    """Add the git tree id to a source record, and return the patch of the tree; None if the patch is too large."""
+    """Add the git tree id to ``record``, and return the patch of uncommitted changes; None if it is too large."""
     untracked, refused = _untracked_files(repository, runs_root)
     record["refused"] = [asdict(entry) for entry in refused]
     sizes = _sizes(repository, untracked)
@@ -237,7 +236,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # Undo changes of files with a git filter in the temporary git index; mode 0 removes a file from the index.
+        # In the temporary index, reset files with a git filter to the commit; mode 0 removes a file from the index.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
@@ -271,7 +270,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
 
 
 def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[NotCaptured]]:
-    """Return the untracked files that can and that cannot be stored; skip run directories and ignored files."""
+    """Return two lists: the untracked files to store, and the untracked files that cannot be stored, with reasons."""
     # Skip a file to which the process prints its output, because the file grows during the run.
     runs, top = None if runs_root is None else runs_root.resolve(), repository.top.resolve()
     runs = runs.relative_to(top) if runs is not None and runs != top and runs.is_relative_to(top) else None
@@ -332,7 +331,7 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
     for flag, paths in (("--no-assume-unchanged", assumed), ("--no-skip-worktree", skipped)):
         if paths:
             scratch.run("update-index", flag, "-z", "--stdin", stdin=git.join_nul(paths))
-    # Exclude submodules, because git would run the filter programs of the submodules.
+    # Exclude submodules, because ``git add`` would run their filter programs.
     others = ["--", ".", *(f":(exclude,literal){entry['path']}" for entry in _submodules(scratch))]
     refused: list[NotCaptured] = []
     try:

@@ -58,7 +58,7 @@ def complete_snapshot(
     max_patch_mb: float | None = None,
 ) -> None:
     """Write the source snapshot and ``environment.txt`` into a run directory, and record both in the manifest."""
-    # If a run is killed before the snapshot is complete, `wheelleg resume` adds the git commit to ``manifest.json``.
+    # `wheelleg resume` also calls ``complete_snapshot``, for a run that was killed before its snapshot was complete.
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))

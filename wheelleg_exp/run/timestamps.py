@@ -37,7 +37,7 @@ def folder_text(moment: datetime) -> str:
 
 
 def folder_moment(name: str) -> datetime | None:
-    """Return the start time from the name of a run directory; return None for a name without a time."""
+    """Return the start time in the name of a run directory, or None if the name contains no time."""
     match = _FOLDER_PATTERN.match(name)
     if match is None:
         return None

@@ -35,12 +35,12 @@ class Subject:
 
     @property
     def has_ended(self) -> bool:
-        """True if the run's process ended without being killed."""
+        """True if the run's process has ended and was not killed."""
         return self.status not in _UNENDED
 
     @property
     def has_snapshot(self) -> bool:
-        """True if the snapshot of the run's config, source, and robot, which a run writes first, is complete."""
+        """True if the run has completely written its config, source code, and robot files."""
         return bool(self.data.get("source")) or self.has_ended
 
 
@@ -54,7 +54,7 @@ class Check:
 
     name: str
     text: str
-    failures: list[str] = field(default_factory=list)  # errors that one check of ``wheelleg verify`` found in a run
+    failures: list[str] = field(default_factory=list)  # errors that make the check fail
     notes: list[str] = field(default_factory=list)  # harmless facts
     skipped: str | None = None  # The reason why the check of a run was skipped; None if the check ran.
 
@@ -124,7 +124,7 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that a run's manifest was not changed after the run wrote the file; note the run's failure and resumes."""
+    """Check that nobody changed the manifest after the run wrote it; report a failure and resumes as notes."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
@@ -164,7 +164,7 @@ def files(subject: Subject) -> Check:
 
 
 def damage(subject: Subject) -> dict[str, str]:
-    """Return the problems of the manifest, and of each file whose size or hash differs from that in the manifest."""
+    """Return the problem of each damaged file by name, such as a changed manifest or a missing checkpoint."""
     wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.matches_digest() is False else {}
     return wrong | _wrong(subject, subject.manifest.compare_files())
 
@@ -208,13 +208,13 @@ def _is_growing(subject: Subject, name: str) -> bool:
 
 
 def _waiting(subject: Subject) -> list[str]:
-    """Return the files that a crashed resume of the run has not rewritten, and that the next resume rewrites."""
+    """Return the config files that a crashed resume did not rewrite; the next resume will rewrite them."""
     texts = subject.data["resumes"][-1].get("files_to_write") if subject.data["resumes"] else None
     return sorted(texts) if texts and not subject.has_ended else []
 
 
 def _changed_before(subject: Subject) -> dict[str, str]:
-    """Return the checkpoints that were changed after an earlier process of the run recorded their sha256."""
+    """Return the problems of checkpoints whose sha256 differs from the sha256 that was recorded before a resume."""
     records: dict[str, Mapping[str, Any]] = {}
     for entry in subject.data["resumes"]:
         if entry.get("before") and entry["before"].get("files"):

@@ -102,7 +102,7 @@ def source(subject: Subject) -> Check:
 
 
 def asset(subject: Subject) -> Check:
-    """Check that the robot's files exist and contain the hash of the compiled model."""
+    """Check that the robot's MJCF file exists, and that ``asset.json`` contains the hash of the compiled model."""
     identity = subject.run.path / ROBOT
     if not identity.is_file():
         return Check("asset", "", skipped="the run saved no robot")
@@ -162,7 +162,7 @@ def checkpoints(subject: Subject) -> Check:
 
 
 def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
-    """Return the problems of a checkpoint, and the names of its hashes that were compared with the iteration log."""
+    """Compare a checkpoint with the iteration log; return its problems and the names of the compared hashes."""
     from wheelleg_exp.rl import checkpoint, digests
 
     iteration = checkpoint_iteration(path)
@@ -217,7 +217,7 @@ def recording(subject: Subject) -> Check:
         return Check("recording", text, lines)
     if not subject.has_ended or health.is_closed:
         return Check("recording", text, notes=lines)
-    # A recording without an index is complete if its hash equals the recording's hash in the manifest.
+    # A recording without an index is complete if its sha256 equals the sha256 in the manifest.
     if not is_recorded:
         return Check("recording", text, lines)
     why = subject.data.get("recording_unfinished")

@@ -19,7 +19,7 @@ class Divergence:
     iteration: int | None  # The first training iteration in which two runs differ; None if no iteration is known.
     part: str  # ``part`` names what differs between two runs, such as ``settings`` or ``files`` (missing or damaged).
     name: str  # The first config key, hash, scalar, tensor, or recorded entity that differs between two runs.
-    a: Any = None  # The value of the differing entry in run A; None if the entry has several values.
+    a: Any = None  # value of the first differing entry in run A, or None if a whole file differs
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -99,7 +99,7 @@ def divergence_lines(first: Divergence) -> list[str]:
 
 
 def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
-    """Yield lines about two runs' different code, hardware, and versions, and about settings that change no result."""
+    """Describe two runs' differences in code, hardware, and versions, and in settings that cannot change results."""
     harmless = [change for change in settings if not decides(change.keys)]
     if not (found or harmless):
         yield from ("", "environment: no recorded fact differs")

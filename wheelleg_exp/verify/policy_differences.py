@@ -28,7 +28,7 @@ from wheelleg_exp.verify.run_parts import Part, some
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
 
-_MOST_LEAVES = 50  # The largest number of stored differences between two checkpoints.
+_MOST_LEAVES = 50  # A comparison of two checkpoints stores at most 50 differences.
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Pair:
     count: int = 0  # The number of tensors, numbers, and texts that differ between two checkpoints.
     of: int = 0
     differences: list[Difference] = field(default_factory=list)  # Differences of network weights are listed first.
-    by_part: dict[str, int] = field(default_factory=dict)  # the number of differences in each part, such as the actor
+    by_part: dict[str, int] = field(default_factory=dict)  # number of differences in each part of the checkpoint
     parameters: float | None = None  # The relative Euclidean distance between the parameters of two networks.
     problem: str | None = None  # The reason why a checkpoint file cannot be read.
 
@@ -53,7 +53,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class CheckpointComparison:
-    """The compared checkpoints of two runs, and the iterations of checkpoints that only one run has."""
+    """The compared checkpoints of two runs, and the iterations at which only one run saved a checkpoint."""
 
     pairs: list[Pair]
     only_a: list[int]
@@ -61,7 +61,7 @@ class CheckpointComparison:
 
 
 def compare_checkpoints(a: RunDirectory, b: RunDirectory, until: int) -> CheckpointComparison:
-    """Compare the checkpoints of two runs at the iterations below ``until``."""
+    """Compare the checkpoints that two runs saved at the same iterations, up to the iteration ``until - 1``."""
     ones, others = ({checkpoint_iteration(path): path for path in run.checkpoints()} for run in (a, b))
     return CheckpointComparison(
         pairs=[compare_pair(i, ones[i], others[i]) for i in sorted(i for i in ones if i in others and i < until)],
@@ -79,7 +79,7 @@ def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
         from wheelleg_exp.rl import checkpoint
         from wheelleg_exp.verify import tensor_differences
 
-        one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # NaN is allowed in compared checkpoints.
+        one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # ``finite=False`` accepts NaN.
         found = list(tensor_differences.tree_differences(one, other))
         of = tensor_differences.count_leaves(one)
         if not found:
@@ -108,13 +108,13 @@ def _part(name: str) -> str:
 
 def _order(difference: Difference) -> tuple[int, float]:
     """Return the sort key of a difference: by part of the checkpoint, then by size."""
-    # In each part of a checkpoint, sort different shapes and missing tensors first, then NaN, then other values.
+    # Within a part such as the actor, list missing or reshaped tensors first, then NaN, then the largest differences.
     order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     part = _part(difference.name)
     rank = order.index(part) if part in order else len(order) + (part in ("env.streams", "rng"))
     if difference.kind != "values" or difference.relative is None:
         return rank, -3.0
-    # Sort NaN like a relative difference of 2.5, because finite relative differences are at most 2.
+    # A relative difference is at most 2, so 2.5 sorts NaN before all finite differences.
     return rank, -2.5 if math.isnan(difference.relative) else -difference.relative
 
 
@@ -122,7 +122,7 @@ _EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
 # Ignore the numbers that TorchScript adds to class names, because they depend on the order of scripting.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# The pickle operations in ``_BOOKKEEPING`` contain no values, only the protocol version and memo positions.
+# Ignore pickle operations that contain no values, but only the protocol version or memo positions.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 
@@ -170,7 +170,7 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
-    # Ignore the numbers in TorchScript class names and the order of constants, because both vary between processes.
+    # TorchScript numbers its classes and orders its constants differently in each process, so ignore both.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)

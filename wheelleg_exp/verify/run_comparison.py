@@ -31,7 +31,7 @@ class Comparison:
     a: Measured
     b: Measured
     verdict: Verdict
-    reason: str  # A sentence that explains whether two runs count as equal.
+    reason: str  # reason for the verdict, such as ``settings differ``
     first_divergence: Divergence | None
     iterations: int  # The number of compared training iterations.
     settings: list[Change]
@@ -39,7 +39,7 @@ class Comparison:
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
     environment: list[FactDifference]  # differences in code, versions, hardware, and environment variables
-    tolerance: Tolerance | None = None  # measured only if a cause, such as another CPU, can explain unequal numbers
+    tolerance: Tolerance | None = None  # measured deviations; None unless a cause such as another CPU can explain them
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -80,8 +80,8 @@ def compare_runs(
 ) -> Comparison:
     """Compare two training runs bit for bit.
 
-    If the number ``iterations`` is given, only the iterations below this number are compared. If ``common`` is true,
-    only the iterations that both training runs have are compared. A run that has not ended is compared up to its last
+    With ``iterations=100``, only the first 100 iterations of both runs are compared. If ``common`` is true, only the
+    iterations that both training runs have are compared. A training that still runs is compared up to its last finished
     iteration. By default, two ended training runs with unequal numbers of iterations count as different.
     """
     if a.path == b.path:
@@ -141,7 +141,7 @@ def _damage_part(wrong: dict[str, list[str]]) -> Part:
 
 
 def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
-    """Return the failed checks of each run; a rewritten manifest does not hide contradictions between run files."""
+    """Return the errors that ``verify_run`` finds in each run, such as contradictions between two files of a run."""
     found: dict[str, list[str]] = {}
     for side, measured in (("A", a), ("B", b)):
         checks = [c for c in verify_run(measured.run).checks if span.whole or c.name in _OF_THE_SNAPSHOT]
@@ -163,7 +163,7 @@ def _checkpoints_part(found: CheckpointComparison) -> Part:
 
 
 def _whole_parts(a: Measured, b: Measured, span: Span, settings: list[Change]) -> dict[str, Part]:
-    """Compare two runs' recordings, exported policies, and results if both runs ended after equally many iterations."""
+    """Compare recordings, exported policies, and results, unless a run was killed or the runs have unequal lengths."""
     if not span.closed:
         why = "a run did not end by itself" if span.whole else "the runs have different lengths"
         other = Part("not compared", why)

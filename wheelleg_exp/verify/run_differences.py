@@ -1,9 +1,8 @@
 """List the differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
 
-A difference between two runs *allows* unequal numbers if it changes only the order or kind of floating-point
-operations. For example, another CPU or another version of PyTorch allows unequal numbers. A difference in settings or
-in the number of physics threads does not allow unequal training results. Different code *forbids* a comparison within
-tolerance, because no test separates effects of code from rounding.
+A difference such as another CPU or another version of PyTorch *allows* unequal numbers, because it can change rounding
+errors. Different settings or another number of physics threads do not allow unequal numbers. Different code *forbids* a
+comparison within tolerance, because no test can separate the effects of code from rounding errors.
 """
 
 from __future__ import annotations
@@ -156,10 +155,10 @@ class FactDifference:
 
     section: str  # The kind of fact that differs, such as ``versions``, ``hardware``, ``code``, or ``resumed``.
     name: str
-    a: Any  # The fact's value in the first run, such as the CPU model; a list if a resume changed the value.
+    a: Any  # value of the fact in run A, such as a CPU model; a list if a resume changed the value
     b: Any
-    allows: str | None = None  # The reason why the difference can change the last digits of numbers, or None.
-    forbids: bool = False  # True if a difference such as other code can change numbers by more than rounding.
+    allows: str | None = None  # reason why the difference can cause other rounding errors, such as ``another CPU``
+    forbids: bool = False  # True if a difference such as other code can change numbers by more than rounding errors.
     note: str = ""  # A text that describes how the source code of two runs differs.
 
 
@@ -168,8 +167,8 @@ def environment_differences(
 ) -> list[FactDifference]:
     """Return how two runs' manifests differ in versions, hardware, threads, and environment variables.
 
-    A section that only one of the two manifests has is skipped. Manifest entries whose names are in ``unknown``, such
-    as ``torch_cpu_capability``, are not compared.
+    If one manifest lacks a section, such as ``hardware``, this section is not compared. Facts in ``unknown``, such as
+    ``torch_cpu_capability``, are not compared.
     """
     found = []
     for section in SECTIONS:
@@ -196,7 +195,7 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return all different values of each fact (such as ``cpu``) in the processes that started and resumed a run."""
+    """Return the different values of each fact, such as ``cpu``, in a run's first process and in all resumes."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -217,7 +216,7 @@ def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tupl
 
 
 def _independent(manifest: Mapping[str, Any]) -> bool:
-    """Return whether, according to a run's manifest, the number of torch threads cannot change results."""
+    """Return whether the manifest shows that results do not depend on the number of torch threads."""
     recorded = (_values(manifest, "threads") or {}).get("independent")
     if recorded is not None:
         return all(value is True for value in recorded)
@@ -252,7 +251,7 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # The source records of both runs are equal, but lack hashes of the source files.
+        if not facts:  # Equal source records without hashes do not prove that the source files are equal.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
@@ -275,7 +274,7 @@ def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
 
 
 def is_the_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether only another computer or other package versions prevented a resume with bitwise equal results."""
+    """Return whether a resume was inexact only because the computer or the package versions had changed."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
     return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())

@@ -1,4 +1,4 @@
-"""Compare the scalars, hashes, recordings, and results of two runs in the iterations that both runs have."""
+"""Compare the logged scalars and hashes, the recordings, and the results of two runs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Measured:
         return f"{self.run.path.parent.name}/{self.run.id}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the facts about a compared run as a JSON document."""
+        """Return the run's path, status, number of iterations, and problems as a JSON document."""
         facts = {"run": str(self.run.path), "status": self.status, "iterations": len(self.log.lines)}
         return {**facts, "problems": [f"{name} {what}" for name, what in self.damage.items()]}
 
@@ -44,12 +44,12 @@ class Span:
     """The iterations of two runs that are compared: the iterations below ``until``."""
 
     until: int
-    whole: bool  # True if all iterations of both runs are compared.
+    whole: bool  # True if the comparison covers all iterations of both runs.
     closed: bool  # True if all iterations of both runs are compared and neither run was killed.
-    shorter: str | None = None  # ``A`` or ``B``, the run with fewer iterations; None if unequal lengths are allowed.
+    shorter: str | None = None  # run with fewer iterations, ``A`` or ``B``; None if the lengths are equal or may differ
 
     def covers(self, name: str) -> bool:
-        """Return whether a file of a run belongs to the iterations that are compared with a second run."""
+        """Return whether damage to the file ``name`` affects the compared iterations."""
         checkpoint = CHECKPOINT.fullmatch(name)
         if self.whole or checkpoint is None:
             return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)
@@ -67,7 +67,7 @@ def measure(run: RunDirectory) -> Measured:
 
 
 def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
-    """Return which iterations of two runs to compare; raise RunDirectoryError if no iteration can be compared."""
+    """Return the iterations of two runs to compare; raise RunDirectoryError if a run has no finished iteration."""
     lengths = len(a.log.lines), len(b.log.lines)
     asked = max(lengths) if iterations is None else iterations
     until = min(*lengths, asked)
@@ -105,7 +105,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Parting:
-    """The first iteration in which two iteration logs differ, and the differing hashes and scalars."""
+    """The first iteration in which the logs of two runs differ, and the names of the differing hashes and scalars."""
 
     iteration: int
     digests: list[str]
@@ -114,7 +114,7 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the hashes that both iteration-log lines contain; no names if the hash algorithms differ."""
+    """Return the names of the hashes that both log lines contain, or no names if the hash algorithms differ."""
     return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
 
 
@@ -130,7 +130,7 @@ def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
 
 
 def differing_scalars(a: Line, b: Line) -> list[str]:
-    """Return the scalars that differ in two log lines. A missing scalar is a difference, and 0.0 differs from -0.0."""
+    """Return the scalars that differ between two log lines, or that only one line contains; 0.0 differs from -0.0."""
     names = dict.fromkeys([*a.scalars, *b.scalars])
     return [n for n in names if n not in a.scalars or n not in b.scalars or repr(a.scalars[n]) != repr(b.scalars[n])]
 
@@ -168,7 +168,7 @@ def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def recording_part(a: Measured, b: Measured) -> Part:
-    """Compare the training recordings of two runs entity by entity, without texts and wall-clock times."""
+    """Compare all recorded entities of two training recordings, except texts and wall-clock times."""
     ones, others = a.run.recording, b.run.recording
     if not ones.exists() or not others.exists():
         owners = [side for side, path in (("A", ones), ("B", others)) if path.exists()]
@@ -177,7 +177,7 @@ def recording_part(a: Measured, b: Measured) -> Part:
 
     sides: list[dict[str, str]] = []
     for side, run, path in (("A", a, ones), ("B", b, others)):
-        if what := run.damage.get(path.name):  # A changed message can terminate the process that decodes it.
+        if what := run.damage.get(path.name):  # Decoding a changed recording can crash the process.
             return Part("different", f"{side}'s recording {what}", {"unreadable": side})
         try:
             sides.append(entity_digests(path))

@@ -25,7 +25,7 @@ class Difference:
     b: Any
     index: tuple[int, ...] = ()  # The index of the tensor element with the largest difference.
     largest: float | None = None  # The largest absolute difference of two tensors, which can be NaN or inf.
-    relative: float | None = None  # ``largest``, divided by the larger absolute value of the two compared elements
+    relative: float | None = None  # ``largest`` divided by the larger of ``|a|`` and ``|b|``
     count: int = 1  # The number of tensor elements that differ; ``of`` is the number of all elements.
     of: int = 1
 
@@ -91,12 +91,12 @@ def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
     apart = (ones - others).abs()
-    # Because inf - inf is NaN, set the difference of equal values and of two NaN values to 0.
+    # The difference of two inf or two NaN values would be NaN, so set it to 0.
     apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0
     odd = differs & ~apart.isfinite()
     if bool(odd.any()):
         at = int(odd.int().argmax())
-    else:  # If all differences of two tensors are 0, find the first element whose bits differ, as in 0.0 and -0.0.
+    else:  # Elements such as 0.0 and -0.0 differ only in their bits, not in their values.
         at = int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
     largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
     scale = max(abs(one), abs(other))

@@ -8,16 +8,16 @@ tolerance if they pass two tests:
   so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, the scalars of
   two runs deviated by 1e-6 with different matrix kernels, and by at least 0.4 with different seeds.
 - End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
-  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation
-  of the return is large while a run learns fast. In a test with 110 iterations, the mean returns of two runs differed
-  by 0.001 of the return's range.
+  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation of
+  the return is large while a run learns fast. In a test with 110 iterations, the final mean returns of two runs
+  differed by 0.001 times the range of the return.
 
-Iterations without a value of the return or episode length are skipped, such as those before the first episode ends. If
-only one of two runs has a final return or episode length, the two runs are not within tolerance. Runs of at least 50
-iterations are not within tolerance if neither return nor episode length can be compared. If two runs have fewer than 50
-iterations, only the first iteration whose scalars differ is tested.
+Averages skip iterations without a return or episode length, for example before the first episode ends. If only one of
+two runs has a final return or episode length, the two runs are not within tolerance. Runs with at least 50 iterations
+are never within tolerance if both lack return and episode length. Runs with fewer than 50 iterations are tested only in
+the first iteration whose scalars differ.
 
-If no known difference between the runs explains unequal numbers, every bit must be equal, and no tolerance applies.
+Without a known cause of unequal numbers, such as another CPU, two runs must be equal bit for bit.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ class Excess:
     """The values of one number in two runs, their deviation, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # The training iteration of two compared values; None for means over several iterations.
+    iteration: int | None  # training iteration of the values ``a`` and ``b``; None if both are means over iterations
     a: float
     b: float
-    off: float  # The relative deviation of two values; for means over several iterations, the absolute deviation.
+    off: float  # relative deviation of two scalars, or absolute deviation of two means over iterations
     allowed: float
 
     @property
     def within(self) -> bool:
-        """True if the deviation between the values of a number in two runs is allowed."""
+        """True if the deviation is at most the allowed deviation."""
         return self.off <= self.allowed
 
     @property
     def sign(self) -> str:
-        """The text ``within`` if the deviation between two runs is allowed, otherwise ``more than``."""
+        """The words between a deviation and its limit in a report: ``within`` or ``more than``."""
         return "within" if self.within else "more than"
 
 
@@ -64,21 +64,21 @@ class Tolerance:
 
     start: list[Excess]  # The largest deviations between two runs in the first iteration in which the runs differ.
     end: list[Excess]  # The deviations between two runs' final returns and between their final episode lengths.
-    note: str = ""  # A text that explains which numbers of two runs were not compared, and why.
-    needs_end: bool = False  # True if the verdict ``within tolerance`` also needs similar final returns.
+    note: str = ""  # numbers that could not be compared, and the reason
+    needs_end: bool = False  # True if the runs must agree at the end of the training too, not only at the start
 
     @property
     def unknown(self) -> bool:
-        """True if the first deviations of two runs are allowed, but both lack a final return and episode length."""
+        """True if the two runs agree at the start, but have no final return and no episode length to compare."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """True if two runs passed all required tests of their deviations."""
+        """True if all deviations between the two runs are allowed, and none is unknown."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
-        """Return a text with the first iteration in which two runs differ and the largest deviation in it."""
+        """Return a text such as ``they first differ in iteration 3 by at most 1.0e-06 (Train/mean_reward)``."""
         worst = max(self.start, key=lambda excess: excess.off, default=None)
         if worst is None:
             return "digests differ, and no scalar does"
@@ -106,9 +106,9 @@ class Tolerance:
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
     """Measure the deviations between two runs in the iterations that both runs have.
 
-    ``parameters`` contains the first iteration in which two runs differ, and the relative distance between their
-    network parameters in this iteration. ``parameters`` is None if a run has no checkpoint of the first iteration in
-    which the two runs differ. ``whole`` is true if ``a`` and ``b`` contain all iterations of the two runs.
+    ``parameters`` contains the first iteration in which the runs differ, and the relative distance between their
+    network parameters. ``parameters`` is None if a run has no checkpoint of the first differing iteration. ``whole`` is
+    true if ``a`` and ``b`` are the complete logs of both runs.
     """
     parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
     start = [] if parting is None else [_start(*parting)]
@@ -124,12 +124,12 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
 
 
 def _start(a: Line, b: Line) -> Excess:
-    """Return the scalar that deviates most between two runs' log lines of one iteration."""
+    """Return the scalar with the largest relative deviation between the log lines of two runs."""
     excesses = []
     for name in dict.fromkeys([*a.scalars, *b.scalars]):
         one, other = a.scalars.get(name), b.scalars.get(name)
         if one != other:
-            # Convert scalars that are missing, or that the iteration log contains as the text NaN, to the float NaN.
+            # A scalar that is missing, or that the log contains as the text ``NaN``, becomes the float NaN.
             x, y = _number(one), _number(other)
             off = math.inf if math.isnan(x) or math.isnan(y) else abs(x - y) / max(abs(x), abs(y), _TINY)
             excesses.append(Excess(name, a.iteration, x, y, off, START))
@@ -137,7 +137,7 @@ def _start(a: Line, b: Line) -> Excess:
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
-    """Return how far a scalar's means over the last tenth of two runs differ; None if both runs lack the scalar."""
+    """Compare a scalar's means over the last tenth of two runs' iterations; return None if both lack the scalar."""
     ones, others = ([_number(line.scalars.get(name)) for line in lines] for lines in (a, b))
     last = max(len(a) // 10, 2)
     one, other = _finite(ones[-last:]), _finite(others[-last:])
