@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -29,6 +30,29 @@ for number, handler in {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: lambda *_
 os.fsync = lambda descriptor: os.fstat(descriptor) and None
 
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _equal_compositions() -> Iterator[None]:
+    """Load each stock config with equal overrides once per process, because Hydra needs 0.2 s for each load."""
+    from wheelleg_exp.config.composing.config_loader import Loader
+
+    load, known, stock = Loader.load, {}, str(Loader().config_search_path)
+
+    def remembered(self: Loader, primary: str, overrides: Sequence[str]) -> Any:
+        has_other_folders = str(self.config_search_path) != stock or "searchpath" in str(overrides)
+        if type(self) is not Loader or has_other_folders:
+            return load(self, primary, overrides)
+        key = (primary, *overrides)
+        if key not in known:
+            tree = load(self, primary, overrides)
+            known[key] = (pickle.dumps(tree), self.repository_used, self.merged)
+        data, self.repository_used, self.merged = known[key]
+        return pickle.loads(data)
+
+    Loader.load = remembered
+    yield
+    Loader.load = load
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

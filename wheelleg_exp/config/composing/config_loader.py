@@ -31,7 +31,7 @@ from hydra.core.utils import JobRuntime, setup_globals
 from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, flag_override
 from omegaconf._utils import get_yaml_loader
 from omegaconf.errors import OmegaConfBaseException
 
@@ -261,7 +261,15 @@ class Loader(ConfigLoaderImpl):
 
     def _compose_config_from_defaults_list(self, defaults: list[ResultDefault], repo: IConfigRepository) -> DictConfig:
         self.merged = defaults
-        return super()._compose_config_from_defaults_list(defaults, repo)
+        compose = super()._compose_config_from_defaults_list
+        first, *others = [compose([default], repo) for default in defaults]
+        try:
+            # Hydra merges file by file, and OmegaConf then visits the whole tree after each of sixty files.
+            with flag_override(first, "no_deepcopy_set_nodes", True):
+                first.merge_with(*others)
+        except OmegaConfBaseException:
+            return compose(defaults, repo)  # Hydra's error names the file.
+        return first
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:
         """Compose the primary config with overrides; the result has a node ``hydra`` with Hydra's own settings."""
