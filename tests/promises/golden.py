@@ -127,8 +127,11 @@ def without_internal_meanings(meanings: list[dict[str, Any]]) -> list[dict[str, 
     return public or meanings[:1]
 
 
-def mjcf(only: str | None = None) -> dict[str, Any]:
-    """Convert the stock robot and, if the corpus exists, its robots: sha256 of MJCF and of the mesh files."""
+def mjcf(only: str | None = None, every: int = 1) -> dict[str, Any]:
+    """Convert the stock robot and, if the corpus exists, its robots: sha256 of MJCF and of the mesh files.
+
+    With ``every``, this section and the next four contain only each ``every``-th entry of their long lists.
+    """
     found = {}
     with scratch() as folder:
         if only in (None, "stock"):
@@ -136,7 +139,7 @@ def mjcf(only: str | None = None) -> dict[str, Any]:
             found["stock, fixed"] = _converted(STOCK_ROBOT, folder / "fixed", "--base", "fixed")
         corpus = os.environ.get(CORPUS_VARIABLE)
         if corpus and only in (None, "corpus"):
-            for path in sorted(Path(corpus).glob("expected/*.json")):
+            for path in sorted(Path(corpus).glob("expected/*.json"))[::every]:
                 expected = json.loads(path.read_text(encoding="utf-8"))
                 words = expected.get("args", [])
                 found[f"corpus/{path.stem}"] = _converted(Path(corpus, expected["asset"]), folder / path.stem, *words)
@@ -193,10 +196,7 @@ _MOUNTS = {
 
 
 def compose(every: int = 1) -> dict[str, Any]:
-    """Compose the stock tasks, their variants, and every stock term: values, sources and layouts.
-
-    With ``every``, this section and the next three contain only each ``every``-th entry of their long lists.
-    """
+    """Compose the stock tasks, their variants, and every stock term: values, sources and layouts."""
     with scratch() as folder:
         stand = _leaves("task=stand")
         found: dict[str, Any] = {"task=stand": stand}
