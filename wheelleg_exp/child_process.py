@@ -56,8 +56,8 @@ class Child:
     """The process of a job: it gets a request, sends events, and stops on request.
 
     The child process leads its own process group, so that Ctrl-C reaches only the parent process. After Ctrl-C, the
-    parent process asks the job to stop after the current training iteration. ``ended`` is the last event of a job that
-    has ended; None for a running or killed job. ``open`` maps each open pipe to the bytes of an incomplete last line.
+    parent process asks the job to stop after the current training iteration. ``ended`` is the job's last event, which
+    tells how the job ended; None for a running or killed job. ``open`` maps each open pipe to its incomplete last line.
     """
 
     def __init__(
@@ -199,7 +199,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
     act()
     deadline = time.monotonic() + patience_s
     while not child.over() and time.monotonic() < deadline:
-        for _ in listen([child], 0.05):  # A child process ends only after the parent has read its full output pipe.
+        for _ in listen([child], 0.05):  # Read the child's events, because a child with a full output pipe cannot end.
             pass
 
 
@@ -207,9 +207,9 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
 
 
 class EventPipe:
-    """An object that sends a job's events to the parent process, or drops them if the parent process has died.
+    """A pipe that sends a job's events to the parent process, and drops the events if the parent process has died.
 
-    ``reached`` is true once the job has completed its work; a later stop request is not an interruption.
+    If a stop request arrives after ``reached`` has become true (all work is done), the job counts as finished.
     """
 
     reached = False
@@ -317,8 +317,7 @@ class Worker:
 def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
     """Answer, in a worker process, each request from standard input until the input ends.
 
-    ``prepare`` is a context manager that receives the worker's startup data and yields the function that answers
-    requests.
+    ``prepare`` gets the worker's startup data; its context manager yields the function that answers requests.
     """
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Libraries must print to standard error, because standard output carries the answers to requests.

@@ -5,7 +5,8 @@
 
 ``wheelleg check`` and the code that builds objects from a config enforce the constraints of parameters. The parameters
 of user-defined terms, noise, actuators and sensors are checked like those of the library. A number must be finite
-unless its annotation contains ``MayBeInfinite``. The decorator ``relation`` attaches a rule between several parameters.
+unless its annotation contains ``MayBeInfinite``. The decorator ``relation`` adds a rule about several parameters to a
+function or class.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 
 class Constraint:
-    """A requirement that the value of an annotated parameter must satisfy.
+    """A requirement, in the type annotation of a parameter, that the parameter's value must satisfy.
 
-    In error messages, ``form``, such as ``[low, high]``, replaces the name of the expected type. If ``broken`` is not
-    empty, it replaces the words ``VALUE is out of range`` in an error message. In error messages, the constraint's
-    ``text``, such as ``not empty``, follows the name of the expected type.
+    Error messages show ``form``, such as ``[low, high]``, instead of the expected type's name. Error messages show
+    ``broken``, if not empty, instead of ``VALUE is out of range``. Error messages show ``text``, such as ``not empty``,
+    after the expected type's name.
     """
 
     form: str = ""
@@ -173,9 +174,9 @@ _RULES = "_relations"
 
 
 def relation(rule: Rule) -> Callable[[_Target], _Target]:
-    """Attach a rule between several parameters to a function or class.
+    """Add a rule about several parameters to a function or class.
 
-    ``rule`` is called with the values of all parameters, after the check of each single parameter.
+    ``rule`` gets the values of all parameters, after each single value has been checked.
     """
 
     def attach(target: _Target) -> _Target:

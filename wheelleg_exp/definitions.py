@@ -1,6 +1,6 @@
 """Define every reported number, such as the mean return: its label, its unit, and its meaning.
 
-Commands, plots, reports, and pages show each number with the label and the unit that this module defines.
+Commands, plots, reports, and documentation pages show each number with its label and unit from this module.
 ``definitions.py`` defines numbers about trainings, evaluated episodes, sessions of manual control, and recordings.
 """
 
@@ -21,8 +21,8 @@ class Definition:
     """The definition of a reported number: its label, its unit, and its meaning.
 
     ``unit`` is empty for a ratio, a count, and a text. ``meaning`` states which episodes, environments, and steps a
-    reported number covers, and how the number is computed. For a mean, ``of`` states over which episodes or steps the
-    program averages.
+    reported number covers, and how the number is computed. ``of`` names the episodes or steps over which a mean is
+    taken.
     """
 
     label: str
@@ -39,7 +39,7 @@ class Definition:
 def ending(terms: Iterable[str]) -> str:
     """Return the names of the termination terms that ended an episode as one text, joined by "and".
 
-    If no termination term was true, the episode ended because a reward or a state was not finite.
+    An episode without a true termination term ended because a reward or a state was not finite.
     """
     return " and ".join(terms) or NOT_FINITE
 
@@ -251,7 +251,7 @@ CONTACTS = {
 
 
 def rollout_label(key: str, settle_s: float | None) -> str:
-    """Return a reported number's label, with a text such as ``after 1 s`` if the number skips the start of episodes."""
+    """Return a number's label, such as ``LABEL, after 1 s`` for a number that ignores an episode's first second."""
     if key in MOTION:
         return f"{MOTION[key].label}, {settled_window(settle_s)}"
     text = ROLLOUT[key].label
@@ -259,7 +259,7 @@ def rollout_label(key: str, settle_s: float | None) -> str:
 
 
 def settled_window(settle_s: float | None) -> str:
-    """Return a text such as ``after 1 s`` for a number that skips the first ``settle_s`` seconds of an episode."""
+    """Return a text such as ``after 1 s``, which says that a number ignores the first second of each episode."""
     if settle_s is None:
         return "once settled"
     return f"after {settle_s:g} s" if settle_s else "from the start"

@@ -17,7 +17,7 @@ EXIT_INTERRUPTED = 130
 _ODD = re.compile(r"[^\n\t -~]")
 # The Unicode categories of space characters that are harmless, although str.isprintable rejects them.
 _SPACES = ("Zs", "Zl", "Zp")
-# If a valid name contains a wrong name of at least 4 characters, the error message suggests the valid name.
+# For a wrong name of at least 4 characters, an error message can suggest a valid name that contains it.
 _LEAST_PART = 4
 
 
@@ -78,7 +78,7 @@ class AssetError(WheellegError):
     """A robot file is unreadable or lacks required content."""
 
     def of(self, key: str) -> AssetError:
-        """Return a copy of this error with another ``key``; its message also names the old key and the robot file."""
+        """Return a copy of the error with the config key ``key``; the message names the old key and the robot file."""
         if self.key == key:
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")
@@ -118,8 +118,8 @@ def _escaped(letter: str) -> str:
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the name among ``names`` that is most similar to ``name``, or None if no name is similar.
 
-    A name that differs from ``name`` only in case has priority over similar names. If ``names`` contains no
-    similar name, return the shortest element of ``names`` that contains ``name``.
+    Prefer a name that differs from ``name`` only in upper and lower case. If no name is similar, return the shortest
+    name that contains ``name``.
     """
     listed = list(names)
     same = [other for other in listed if other.lower() == name.lower()]

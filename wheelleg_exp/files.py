@@ -47,7 +47,7 @@ def for_people(path: Path, verb: str = "write") -> Iterator[None]:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """Inside the ``with`` block, raise SimulationFailure instead of RunDirectoryError, because the run has started."""
+    """Convert a RunDirectoryError in the ``with`` block to SimulationFailure, because the run has already started."""
     try:
         yield
     except RunDirectoryError as error:

@@ -1,8 +1,8 @@
 """The machine's limits: memory, and the cores and environment variables that CPU training uses.
 
 Environment variables such as MKL_CBWR make CPU training repeatable, and must be set before torch is imported. The
-program estimates a lower bound of the memory that a config needs. If a config needs more memory than the machine has,
-an error names the config key before the process gets killed.
+program estimates a lower bound of the memory that a config needs. The program refuses a config that needs more memory
+than the machine has, because the system would kill the process.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def first_processor() -> dict[str, str]:
 
 
 _LOADAVG = Path("/proc/loadavg")
-_SPINS, _SAMPLES = "20000", 3  # An idle OpenMP thread takes up to 1 ms for 20000 turns of its busy loop.
+_SPINS, _SAMPLES = "20000", 3  # 20000 turns of the busy loop take an idle OpenMP thread up to 1 ms.
 
 
 def spins() -> str:
@@ -127,7 +127,7 @@ def spins() -> str:
 
 
 # MKL_CBWR selects one code path for matrices, so that the number of threads does not change results.
-# OMP_WAIT_POLICY makes idle threads sleep after GOMP_SPINCOUNT turns of a busy loop, instead of never.
+# With OMP_WAIT_POLICY=PASSIVE, idle threads sleep after GOMP_SPINCOUNT turns of a busy loop.
 VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
 _chosen: set[str] = set()  # set by this program
 
@@ -164,7 +164,7 @@ def keep_kernels(recorded: Mapping[str, str]) -> None:
 def own_environ() -> dict[str, str]:
     """Return the environment variables for a child process, without the variables that this program has set.
 
-    A child process would treat an inherited MKL_CBWR as the user's choice, and ignore the value recorded with a run.
+    A child process would take an inherited MKL_CBWR for the user's choice, and ignore the value that a run records.
     """
     return {name: value for name, value in os.environ.items() if name not in _chosen}
 

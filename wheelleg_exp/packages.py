@@ -1,7 +1,7 @@
 """Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. For an installed project, the
-program reads the entry points from the installed distribution. A project that is not installed is found through the
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The entry points of an installed
+project are read from the metadata of its Python distribution. A project that is not installed is found through the
 current folder or the option ``--config-dir``. Hydra reads config files from the folder ``configs/`` of the user's
 project. A package that the user's project declares is imported if a config names a function or class of the package in
 ``_target_``. Packages that a project does not declare cannot be imported from the project.
@@ -160,13 +160,13 @@ def _require_own(project: Project) -> None:
 def with_current(folders: Sequence[Path]) -> list[Path]:
     """Return the given config folders, followed by the config folder of the user project around the current folder.
 
-    The path of a missing folder is returned unchanged; the code that reads the folder raises an error.
+    Missing folders are also returned; the code that reads the folders raises an error.
     """
     found = [_resolved(folder) for folder in folders]
     try:
         project = current_project()
     except ConfigError as error:
-        if error.key in {str(folder.parent) for folder in found}:  # The user trusts projects named on the command line.
+        if error.key in {str(folder.parent) for folder in found}:  # A project named on the command line is trusted.
             return found
         raise
     if project is not None:
@@ -209,7 +209,7 @@ def config_folder(folder: Path) -> Path:
 
 def installed_packages() -> tuple[str, ...]:
     """Return the names of the packages that installed distributions declare as callable from configs."""
-    from importlib import metadata  # imported here, because an import at the top would slow down each command
+    from importlib import metadata  # A module-level import would slow down each command.
 
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
@@ -249,7 +249,7 @@ def own_folders(recorded: Iterable[str]) -> list[Path]:
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
-    """Map each unused config folder of a run to the reason, such as ``is gone``; the folders ``found`` are in use."""
+    """Map each recorded config folder that is not in ``found`` to the reason for its omission, such as ``is gone``."""
     used = {real_path(folder) for folder in found}
     others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
@@ -292,7 +292,7 @@ def project_of(package: str) -> Project | None:
 
 
 def make_importable(target: str) -> None:
-    """Make the package of the dotted path ``target`` importable if a user project declares this package."""
+    """Make the package in a dotted path, such as ``my_pkg.rewards.track``, importable if a user project declares it."""
     package = next((name for name in _joined if target.startswith(f"{name}.")), None)
     if package is None:
         return

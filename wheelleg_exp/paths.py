@@ -11,7 +11,7 @@ from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 CACHE_KEY = "WHEELLEG_CACHE"  # environment variable
 # ``NETWORKS`` (actuator networks) and ``GROUND`` (terrain file) are folders next to a robot's MJCF file.
 NETWORKS, GROUND = "networks", "ground"
-# copies of other runs' files, next to the MJCF: a training's teacher policy and initial networks
+# ``TEACHER`` and ``INITIAL`` are the paths to which a training copies networks of other runs.
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -50,7 +50,7 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None,
     """Return the file that an asset path in a config names; AssetError lists the searched paths of a missing file.
 
     A relative asset path is searched below each of the user's ``roots``, then below the stock assets. An error names
-    the config key ``key`` and the type of file ``what``.
+    the config key ``key`` and the file's type ``what``.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]

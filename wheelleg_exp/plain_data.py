@@ -19,10 +19,10 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 # YAML can have at most 200 nested levels, because much deeper nesting crashes the C parser.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
-# A zip archive must unpack to at most _TIMES times its packed size plus _PACKED_ROOM bytes.
+# A zip archive's unpacked size is at most _TIMES times its packed size plus _PACKED_ROOM bytes.
 _TIMES, _PACKED_ROOM = 16, 1 << 20
 _MOST_BITS = 1023  # An integer of at most 1023 bits can be converted to a float.
-_OPENING = (b"[", b"{", b"-", b":", b"?")  # Nested values in YAML start with one of these characters.
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # Each nesting level of a YAML text needs one of these characters.
 
 
 class Unreadable(ValueError):
@@ -60,7 +60,7 @@ def yaml_tree(data: bytes | str) -> yaml.Node | None:
 
 
 def require_bounded(archive: ZipFile) -> None:
-    """Raise Unreadable for a zip bomb, an archive whose unpacked size is far larger than that of torch's archives."""
+    """Raise Unreadable for a zip bomb, an archive whose unpacked size is far larger than its packed size."""
     parts = archive.infolist()
     if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
         raise Unreadable("the archive's unpacked size is too large for its file size")
@@ -140,7 +140,7 @@ def _no_number(name: str) -> Any:
 
 _SCALARS = (str, int, float, bool, type(None))
 
-# PyYAML reads a matching word as text, but YAML 1.2 readers and OmegaConf read the word as a number.
+# YAML 1.2 readers and OmegaConf read a word such as ``1e3`` as a number, but PyYAML reads the word as text.
 _NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
 
 # PyYAML writes rare line ends such as U+2028 unchanged in single quotes, but reads line ends as spaces.

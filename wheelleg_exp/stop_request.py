@@ -20,7 +20,7 @@ def stop_signals() -> list[signal.Signals]:
 class StopRequest:
     """A context in which the first stop signal (Ctrl-C) sets ``requested`` and a second one raises ``Interrupted``.
 
-    A second SIGHUP raises nothing, because the system and the shell can both send SIGHUP when a terminal closes.
+    A second SIGHUP is ignored, because a closing terminal can send SIGHUP twice: by the system and by the shell.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class StopRequest:
         self._before: dict[signal.Signals, signal._HANDLER] = {}
 
     def check(self, agreed: bool | None = None) -> None:
-        """Raise ``Interrupted`` if ``agreed`` is true, or if ``agreed`` is None and a stop signal has arrived."""
+        """Raise ``Interrupted`` if ``agreed`` is true; by default, if a stop signal has arrived."""
         self._listen()  # Imported code can have replaced the signal handlers of this program.
         if self.requested if agreed is None else agreed:
             raise Interrupted

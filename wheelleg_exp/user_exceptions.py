@@ -16,8 +16,8 @@ _ORDINARY = "code that returns, or raises an ordinary error"
 def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[None]:
     """Inside the ``with`` block, convert an exception that would end the program to an error of the class ``kind``.
 
-    ``SystemExit`` or ``KeyboardInterrupt`` from user-defined code would end the program. The error of the class
-    ``kind`` names the original exception, and the file and line of the code that raised it.
+    ``SystemExit`` or ``KeyboardInterrupt`` from user-defined code would end the program. The new error names the
+    original exception, and the file and line at which it was raised.
     """
     try:
         yield

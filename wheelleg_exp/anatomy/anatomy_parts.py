@@ -22,7 +22,7 @@ class Wheel:
     """One wheel of a robot: its joint, links, shape, ground contact, and motor."""
 
     joint: str  # the name of the hinge on which the wheel turns
-    body: str  # the name of the wheel's link; ``bodies`` also has the links that are fixed to the wheel
+    body: str  # the name of the wheel's link; ``bodies`` names this link and the links that are fixed to the link
     bodies: tuple[str, ...]
     axis: Vec3
     centre: Vec3  # the centre of the wheel's colliders in the base frame, m; ``axis`` is the wheel axle's unit vector
@@ -31,11 +31,11 @@ class Wheel:
     roundness: float  # the wheel's smallest radius divided by its largest radius; 1 for a perfect circle
     contact: Vec3  # the point at which the wheel touches level ground, m
     side: Side  # the side of the robot (left, right, or middle) on which the wheel is
-    sign: int  # +1 if a positive joint speed rolls the wheel forwards, -1 if backwards, 0 if sideways
+    sign: int  # the direction in which a positive joint speed rolls the wheel: +1 forwards, -1 backwards, 0 sideways
     driven: bool  # whether a motor drives the wheel; false for a caster
     stands: bool  # whether the wheel touches level ground on which the robot stands
     steered: bool  # whether a vertical hinge without limits steers the wheel, as in a swerve drive
-    # A caster is a wheel behind a steering hinge without motor; if all wheels are like this, ``caster`` is false.
+    # ``caster`` is true for a wheel behind a steering hinge without motor, unless all wheels are behind such hinges.
     caster: bool
     why: str  # a text for the user: the reason why the link counts as a wheel
 
@@ -44,7 +44,7 @@ class Wheel:
 class Leg:
     """The joints between the robot's base and a wheel; the joints in ``Leg.passive`` have no motor.
 
-    ``Leg.beside`` names a leg's joints that are not between the base and a wheel, usually one half of a closed loop.
+    ``Leg.beside`` names the leg's joints outside the chain from base to wheel, as in one half of a closed loop.
     ``Leg.loops`` names the MuJoCo equality constraints that close kinematic loops in a leg.
     """
 
@@ -59,9 +59,8 @@ class Leg:
 class MirroredPair:
     """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
-    If the joint ``left`` is at position q, its mirror image is the joint ``right`` at position ``sign`` · q. The
-    mirrored axis of the left joint differs from the right joint's axis by the distance ``offset`` (m) and the angle
-    ``tilt`` (rad).
+    A position q of the joint ``left`` is the mirror image of the position ``sign`` · q of the joint ``right``. The
+    mirror image of the left joint's axis is ``offset`` (m) and ``tilt`` (rad) away from the right joint's axis.
     """
 
     left: str
@@ -87,7 +86,7 @@ class Anatomy:
     up: Vec3  # against gravity
     middle: Vec3  # a point on the plane between the robot's left and right halves, m
     mirrored: tuple[MirroredPair, ...]  # the pairs of joints that are mirror images, with the left joint first
-    unmatched: tuple[str, ...]  # names of the joints without a mirror image on the robot's other side
+    unmatched: tuple[str, ...]  # names of the joints that have no mirror image on the other side of the robot
     # ``support_height`` is the height of the wheel contacts above the base frame's origin, m, so usually negative.
     support_height: float | None
     support_width: float  # the largest distance between two wheel contacts along the robot's left axis, m
@@ -118,7 +117,7 @@ _OBJECT = mujoco.mjtObj
 
 @dataclass(frozen=True)
 class Tree:
-    """The body tree of a compiled robot at one pose, with computed positions and axes; ``base`` is the root body."""
+    """The body tree of a MuJoCo model at the pose in ``data``; ``base`` is the id of the root body."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -126,7 +125,7 @@ class Tree:
 
     @cached_property
     def bodies(self) -> list[int]:
-        """The base and all bodies below it, in the model's order."""
+        """The ids of the root body and of all its descendants, in the order of the MuJoCo model."""
         return self.below(self.base)
 
     @cached_property

@@ -34,7 +34,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[in
 
 
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
-    """Return how far the shapes ``geoms`` extend from ``origin`` in each direction, m, (n,); -inf without shapes.
+    """Return how far the shapes ``geoms`` extend from ``origin`` along each direction, (n,) in m; -inf without geoms.
 
     The point ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in world coordinates.
     """

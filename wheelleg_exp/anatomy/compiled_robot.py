@@ -23,8 +23,8 @@ from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # A default position outside the limits is moved inside, 25 % of the joint's range away from the limit.
-_OFF = 0.02  # A default joint position is at least 2 % of the joint's range away from the joint's limits.
+_INSIDE = 0.25  # A default joint position beyond a limit moves to 25 % of the joint's range inside the limit.
+_OFF = 0.02  # A default joint position stays at least 2 % of the joint's range away from both limits.
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Joint:
     armature: float  # reflected rotor inertia, kg·m²
     inertia: float  # inertia about the joint's axis of all links that the joint moves, kg·m², without armature
     effective: float  # the effective inertia at the joint while all other joints are free, kg·m², with armature
-    hold: float  # the joint torque that carries the robot's weight at rest, N·m
-    drive: Drive | None  # its actuator, or None
+    hold: float  # the joint's torque while the robot stands still in its default pose, N·m
+    drive: Drive | None  # the joint's actuator, or None
 
     @property
     def limited(self) -> bool:
@@ -69,8 +69,8 @@ class Balance:
 
     ``mass``, kg, and ``inertia`` about the axle, kg·m², are those of the robot without its wheels. ``height``, m, is
     the distance from the axle to the centre of mass of the robot without its wheels. With locked wheel joints, the
-    whole robot tips over like one rigid body, at the exponential rate ``pole``, rad/s. With a fixed axle, the robot
-    tips over at the exponential rate ``pendulum`` = sqrt(m g h / I), rad/s.
+    whole robot tips over like one rigid body, at the exponential rate ``pole``, rad/s. If the axle cannot move, the
+    robot tips over at the exponential rate ``pendulum`` = sqrt(``mass`` · gravity · ``height`` / ``inertia``), rad/s.
     """
 
     mass: float
@@ -175,7 +175,7 @@ def _joints(
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            # Round gains and limits to seven digits, because their type float32 is no more accurate.
+            # Round gains and limits to seven digits, because they are float32 numbers.
             kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     joints = {}
@@ -210,7 +210,7 @@ def _balance(
         for body in wheel_bodies
     )
     drop = mass * gravity * height
-    # If a robot falls, its wheels roll, so the inertia about the ground contact includes the wheels.
+    # The wheels of a falling robot roll, so the inertia about the ground contact includes the wheels.
     about_ground = inertia + 2 * mass * radius * height + mass * radius**2 + rolling
     return Balance(mass, height, inertia, math.sqrt(drop / about_ground), math.sqrt(drop / inertia))
 
@@ -226,11 +226,10 @@ def _inertia_about(model: mujoco.MjModel, data: mujoco.MjData, body: int, point:
 
 @dataclass(frozen=True)
 class CompiledRobot:
-    """A robot in its compiled scene; ``data`` is at the start of episodes, with all derived quantities computed.
+    """A robot in its compiled MuJoCo scene; ``data`` is MuJoCo's data at the start of an episode.
 
-    ``drawn`` describes the robot's wheels and legs in the pose of the robot file, with all joints at zero. ``anatomy``
-    describes the wheels and legs at the start of episodes. ``report`` is the report of the conversion from USD or URDF;
-    None if the robot file is an MJCF file.
+    ``drawn`` describes the robot's wheels and legs in the robot file's pose, and ``anatomy`` at the start of an
+    episode. ``report`` is the report of the conversion from USD or URDF; None if the robot file is an MJCF file.
     """
 
     model: mujoco.MjModel
@@ -252,8 +251,7 @@ class CompiledRobot:
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
     """Return a copy of a MuJoCo model with the limits that the robot's URDF states for continuous joints.
 
-    The given ``model`` has no limits for continuous joints. The last joint of a kinematic chain stays unlimited,
-    because it can be a wheel's joint.
+    The last joint of each kinematic chain stays unlimited, because this joint can turn a wheel.
     """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
@@ -268,7 +266,7 @@ def compiled_robot(
 ) -> tuple[CompiledRobot, RobotFacts]:
     """Return the robot of a compiled scene, and measured facts such as its mass and wheel radius.
 
-    ``driven`` names the joints that have a motor in the robot file; None means that no joint has a motor. ``driven``
+    ``driven`` names the joints with a motor in the robot file; None stands for a robot file without motors. ``driven``
     has no effect if the robot's config defines actuators.
     """
     data = at_default(model, robot)
@@ -301,7 +299,7 @@ def default_position(dof: Dof) -> float:
 
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return the config section ``env.robot`` without actuators; ``positions`` are default joint positions, rad (m)."""
+    """Return a config section ``env.robot`` without actuators, with the default joint positions ``positions``."""
     joint_pos = {name_expression(joint): value for joint, value in positions.items()}
     state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
     settings: dict[str, Any] = {

@@ -47,11 +47,11 @@ class Found:
 
 
 def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
-    """Return the wheels, and map joints that almost qualify as wheel joints to the reason why they do not."""
+    """Return the wheels; for each joint that is almost a wheel joint, also return why the joint is no wheel joint."""
     found, near = [], {}
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
-    highest = -down + _LOW * (top + down)  # the largest height of a wheel's lowest point, m
+    highest = -down + _LOW * (top + down)  # A wheel's lowest point is at most at this world height, m.
     for joint in tree.joints:
         # A wheel's joint is a horizontal hinge and the last joint of its kinematic chain.
         body = int(tree.model.jnt_bodyid[joint])
@@ -97,7 +97,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
     radius = float(outline.max())
     roundness = float(outline.min()) / radius if radius > 0 else 0.0
     # ``off_axis`` is the distance of the centre of a wheel's round outline from the wheel's hinge axis, m.
-    # The outline of a shifted circle is its radius plus a cosine, whose amplitude is the shift.
+    # A circle of radius r, shifted by d, has the outline r + d · cos(angle - direction of the shift).
     shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
     centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
     off_axis = float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
@@ -108,7 +108,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
 
 
 def _where_its_shape_is(shape: Found) -> str:
-    """Explain, for a link with a wheel's mass distribution, why its colliders do not have the shape of a wheel."""
+    """Return a text about a link that has the mass distribution, but not the collider shape, of a wheel."""
     if shape.off_axis > _OFF_AXIS * shape.radius:
         return f"its colliders are round about a line {1e3 * shape.off_axis:.3g} mm off its axis"
     extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
@@ -197,8 +197,8 @@ def find_mirrored(
     """Return the pairs of mirrored joints, and the joints without a mirror image.
 
     The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
-    ``size`` is the longest edge of the robot's bounding box, m. ``wheels`` maps wheel joints to the centres of the
-    wheels, m, which are more precise than the anchors of the joints.
+    ``size`` is the longest edge of the robot's bounding box, m. ``wheels`` maps each wheel joint to its wheel's centre,
+    m, which is used instead of the joint's anchor.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
@@ -211,8 +211,8 @@ def find_mirrored(
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
                 offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
                 # ``tilt`` is the angle between the first joint's mirrored axis and the second joint's axis, rad.
-                # ``sign`` is 1 if equal joint positions are mirror images, and -1 if opposite positions are.
-                # Reflected by a matrix M, a rotation about the axis a becomes the same rotation about the axis -M a.
+                # In a mirror-symmetric pose, both joints have equal (``sign`` 1) or opposite (``sign`` -1) positions.
+                # A reflection M turns a rotation about the axis a into the rotation by the same angle about -M a.
                 image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
                 cosine = float(image @ tree.data.xaxis[other])
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

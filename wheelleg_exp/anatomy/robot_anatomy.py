@@ -19,7 +19,7 @@ _PARALLEL = 0.9  # A robot has a forward direction if at least about 90 % of its
 _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # A middle wheel is at most 5 % of the track width away from the robot's middle.
 _LEVEL_WITH = 0.03  # A wheel that carries weight is at most 3 % of the robot's size higher than the lowest wheel.
-_AHEAD = 0.3  # In the forward direction (x, y, z), the first component with a size of at least 0.3 is positive.
+_AHEAD = 0.3  # The forward direction's first component (x, y, or z) of size 0.3 or more is positive.
 _TRAILS = 0.1  # A caster's ground contact is at least 10 % of the wheel radius away from the steering axis.
 
 
@@ -32,7 +32,7 @@ def anatomy_of(
     horizontal, and is the last joint of the kinematic chain. A wheel's colliders are near the ground and round about
     the hinge's axis. Nearly round colliders suffice if the link has a wheel's mass distribution. ``driven`` are the
     joints with a motor: by default the joints with actuators in the model, or all joints if the model has no actuators.
-    Without actuators and without ``driven``, only geometry decides which wheels are casters.
+    If ``driven`` is None and the model has no actuators, only geometry decides which wheels are casters.
     """
     data = mujoco.MjData(model)
     if qpos is not None:
@@ -70,7 +70,7 @@ def anatomy_of(
 
 @dataclass(frozen=True)
 class _Axles:
-    """The robot's size and directions, and contact, steering joint, and type of each wheel, in world coordinates."""
+    """The robot's size and directions, and each wheel's ground contact and steering joint, in world coordinates."""
 
     size: float
     forward: Array | None
@@ -84,7 +84,7 @@ class _Axles:
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    # A wheel that trails a steering hinge without motor is a caster, unless this holds for all wheels of the robot.
+    # A wheel behind a steering hinge without motor is a caster, unless all wheels are behind such hinges.
     trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
     casters = [trails and not all(trailing) for trails in trailing]
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
@@ -153,7 +153,7 @@ def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]
-    # The main eigenvector of the sum of outer products axis axisᵀ does not depend on the signs of the wheels' axes.
+    # Average the outer products axis axisᵀ, so that the signs of the wheels' axes do not matter.
     sizes, directions = np.linalg.eigh(sum(np.outer(axis, axis) for axis in level) / len(level))
     if sizes[-1] < _PARALLEL * sizes.sum():
         return None
@@ -187,7 +187,7 @@ def _mirrored(
 ) -> tuple[Array, list[MirroredPair], list[str]]:
     """Return a point of the mirror plane (world, m), the mirrored pairs of joints, and the joints without a partner."""
     normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
-    # Try two mirror planes, through the base's origin and midway between the wheels, and use the one with more pairs.
+    # Try mirror planes through the base's origin and midway between the wheels; keep the plane that pairs more joints.
     middles = [origin]
     if wheels:
         places = [float(wheel.centre @ normal) for wheel in wheels]

@@ -37,9 +37,9 @@ class Stance:
     """A standing pose of a robot: joint positions, height, balance, and ground contact."""
 
     positions: dict[str, float]  # positions of the leg joints by joint name, in rad (slide joints: m)
-    height: float  # mean height of the hips above the wheels, m; ``tallest`` is the largest possible height, m
+    height: float  # mean height of the hips above the wheels, m; ``tallest`` is the largest possible ``height``
     offset: float  # the distance by which the centre of mass is in front of the middle of the wheel contacts, m
-    # ``lean`` is the base's pitch that would balance the robot, rad (positive: front down); 0 with several axles.
+    # ``lean`` is the base pitch that balances the robot, rad, positive if the front is down; 0 for several axles.
     lean: float
     tallest: float
     balanced: bool  # whether the robot's centre of mass is above the middle of the wheels' contact points
@@ -49,9 +49,9 @@ class Stance:
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find a robot's standing pose near a given pose; None if the robot has no parallel wheel axles or no leg joints.
 
-    The base keeps the orientation of the given pose, and only the legs' joints move. ``mujoco.minimize`` solves a
-    nonlinear least-squares problem from several starts. All wheels touch the ground in the standing pose. If the legs
-    cannot reach such a pose, wheels that are above the ground in the given pose may stay in the air.
+    The base keeps its orientation in the pose ``qpos``, and only leg joints move. ``mujoco.minimize`` solves a
+    nonlinear least-squares problem from several starts. If possible, all wheels touch the ground in the standing pose;
+    otherwise, only those that touch the ground in ``qpos``.
     """
     if anatomy.forward is None:
         return None
@@ -159,7 +159,7 @@ class _Problem:
         return list(poses)
 
     def overlap(self) -> float:
-        """Return the largest increase of the overlap depth of two bodies relative to the initial pose, m."""
+        """Compare the overlap depth of each body pair with the initial pose; return the largest increase, m."""
         depths = overlap_depths(self.model, self.data, self.bodies)
         return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
@@ -169,7 +169,7 @@ class _Problem:
         return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
 
     def residual(self, positions: Array) -> Array:
-        """Return the weighted, dimensionless errors of a leg pose; the search for a pose minimises their squares."""
+        """Return a leg pose's weighted, dimensionless errors; the pose search minimises the sum of their squares."""
         data = self.at(positions)
         centres = self._centres()
         ground = (centres @ self.up).min() - self.radius
@@ -217,7 +217,7 @@ class _Problem:
         return np.asarray(found, dtype=np.float64)
 
     def tied(self, positions: Array) -> Array:
-        """Return a symmetric copy of a leg pose, or the pose itself if the copy costs 0.05 more or violates limits."""
+        """Return a leg pose, made mirror-symmetric if this respects all joint limits and costs less than 0.05 more."""
         alike = positions.copy()
         for left, right, sign in self.pairs:
             alike[left] = (positions[left] + sign * positions[right]) / 2
@@ -238,7 +238,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class Weight:
-    """The robot's centre of mass without the wheels, in the world and relative to the middle of the axle, m."""
+    """The centre of mass of the robot without wheels, m: ``place`` in the world; ``ahead`` of, ``above`` the axle."""
 
     ahead: float
     above: float

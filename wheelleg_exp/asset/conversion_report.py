@@ -77,7 +77,7 @@ MUCH = 0.1  # share of the mass
 
 
 def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
-    """Rate a conversion; ``assumed_share`` is the share (0 to 1) of the robot's mass that the robot file lacks."""
+    """Rate a conversion; ``assumed_share`` is the share (0 to 1) of the robot's mass that the converter assumed."""
     count = Counter(item.kind for item in findings)
     gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
@@ -139,8 +139,8 @@ class Report:
 
     ``layers`` maps each source file of the robot to the sha256 of that file. ``velocity_limits`` gives each degree of
     freedom's velocity limit in rad/s (m/s). A controller needs velocity limits, but an MJCF file cannot contain
-    velocity limits. ``values`` contains the converted robot's masses, joint limits, and other numbers, from
-    ``values_of``. ``authored`` maps each joint's path to the joint's original numbers, in the units of the robot file.
+    velocity limits. ``values`` contains the converted robot's numbers, such as masses and joint limits. ``authored``
+    maps each joint's path to the joint's original numbers, in the units of the robot file.
     """
 
     source: str

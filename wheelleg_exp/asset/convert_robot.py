@@ -43,9 +43,9 @@ def convert(
 ) -> Conversion:
     """Convert a USD or URDF file to MJCF. The folder of the meshes is ``<output's stem>_meshes``.
 
-    The ``base`` mode ``floating`` removes fixed joints to the world, and ``fixed`` removes the root's free joint. The
-    mode ``auto`` keeps joints to the world as in the robot file; a URDF robot without such a joint floats. ``variants``
-    maps each USD variant set to the name of the selected variant. An existing output is replaced.
+    The ``base`` mode ``floating`` removes joints that fix the robot to the world; ``fixed`` removes the root's free
+    joint. The mode ``auto`` keeps joints to the world as in the robot file; a URDF robot without such a joint floats.
+    ``variants`` maps each USD variant set to the name of the selected variant. An existing output is replaced.
     """
     source, output = Path(source), Path(output)
     try:
@@ -109,7 +109,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         return robot, report
     frame, turned = Frame.of(root.pose), list[Body]()
     for body, child in pairwise(path):
-        # The massless root link becomes the child of its former child, so the pose between them is inverted.
+        # The massless link becomes the child of its former child, so the relative pose of both is inverted.
         inside = Frame.of(child.pose)
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside

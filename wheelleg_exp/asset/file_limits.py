@@ -61,7 +61,7 @@ def require_plain_file(
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
     ``expected`` is the error message's description of a valid file, such as ``a layer of USD``. ``key`` is the USD prim
-    or XML element that refers to ``path``. ``where`` is the file that contains the USD prim or XML element ``key``.
+    or XML element that refers to ``path``, and ``where`` is the file that contains this element.
     """
     problem = _problem_of(path, largest)
     if problem:

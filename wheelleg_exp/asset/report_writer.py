@@ -27,7 +27,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
         return
-    # Collect groups of welded bodies; ``top`` maps each body to the first body of the body's group.
+    # ``top`` maps each body to the first body of its group of welded bodies.
     top: dict[str, str] = {}
     groups: dict[str, list[Body]] = {}
     inner = set()
@@ -44,7 +44,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
-    """Measure each root body that has joints and colliders; yield mass and size as a finding to be checked later.
+    """Yield mass and size of each body tree with joints and colliders; a later step checks whether they are plausible.
 
     A robot's size is the longest edge of the bounding box of its colliders and joints, along the root body's axes.
     """
@@ -59,7 +59,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
         joints = np.flatnonzero(moving & (model.body_rootid[model.jnt_bodyid] == root))
         if not len(geoms) or not len(joints):
             continue
-        # A rotated box with the half edges e has the half extents abs(rotation matrix) @ e along the root's axes.
+        # Along the root body's axes, a box with half edges e extends by abs(rotation matrix) @ e from its centre.
         axes, turns = data.xmat[root].reshape(3, 3), data.geom_xmat[geoms].reshape(-1, 3, 3)
         boxes = model.geom_aabb[geoms]
         centers = (data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turns, boxes[:, :3])) @ axes
@@ -87,7 +87,7 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
 def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
     """Return the conversion report of a robot that was read from a USD or URDF file.
 
-    The keyword arguments ``origin`` set fields of the conversion report, such as ``source`` and ``variants``.
+    ``origin`` contains further fields of the conversion report, such as ``source`` and ``variants``.
     """
     note_colliders(robot, ledger)
     names: dict[str, str] = {}

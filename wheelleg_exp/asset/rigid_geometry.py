@@ -37,8 +37,8 @@ def rounded(value: float, scale: float | None = None) -> float:
     """Return a short decimal within the single-precision rounding error of ``value``; ``value`` if there is none.
 
     For example, a joint limit of -0.5000000058 rad (-28.64789 degrees in the USD file) becomes -0.5 rad. USD stores
-    most physical quantities in single precision. The allowed rounding error is proportional to ``scale``, such as a
-    vector's length; the default of ``scale`` is the size of ``value``.
+    most physical quantities in single precision. The allowed rounding error is proportional to ``scale``, by default
+    the absolute value of ``value``.
     """
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
@@ -140,7 +140,7 @@ class Frame:
 
 
 def split_scale(linear: Array) -> tuple[Array, Array]:
-    """Split a 3x3 map into rotation and stretch, ``linear = rotation @ stretch`` (polar decomposition).
+    """Split a 3x3 matrix into rotation and stretch: ``linear = rotation @ stretch`` (polar decomposition).
 
     The determinant of ``rotation`` is 1, even if ``linear`` mirrors and has a negative determinant.
     """
@@ -174,14 +174,14 @@ MeshVolume = Literal["convex", "exact", "legacy", "shell"]
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) about its centre at density 1, in m⁵."""
+    """A solid's volume (m³), centre (3,) in m, and inertia tensor (3, 3) about the centre in m⁵, for the density 1."""
 
     volume: float
     center: Array
     inertia: Array
 
     def seen_from(self, frame: Frame) -> Solid:
-        """Return the solid in parent coordinates; ``frame`` is the pose of the solid's coordinates in the parent."""
+        """Return the solid transformed by ``frame``, from the solid's own coordinates to parent coordinates."""
         r = frame.rotation
         return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
 
@@ -200,12 +200,12 @@ class Part:
         return Part(mass, solid.center, solid.inertia * (mass / solid.volume))
 
     def about(self, center: Array) -> Part:
-        """Return the body part with its inertia tensor taken about ``center`` (parallel-axis theorem)."""
+        """Return a copy of the body part whose inertia tensor is about the point ``center`` (parallel-axis theorem)."""
         return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
 
 
 def parallel_axis(mass: float, offset: Array) -> Array:
-    """Return the increase of an inertia tensor (3, 3) about a point at ``offset`` (3,) from the centre of mass."""
+    """Return the inertia tensor (3, 3) of a point mass at ``offset`` (3,), as in the parallel-axis theorem."""
     return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
 
 
@@ -228,8 +228,8 @@ def combined_tensor(parts: Sequence[Part], mass: float, center: Array) -> Array:
 def principal(tensor: Array) -> tuple[Vec3, Quat]:
     """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
 
-    Each step of Jacobi's method rotates the tensor by at most 45° to make its largest off-diagonal element zero. PhysX
-    also uses Jacobi's method, so the principal moments are in the same order as in PhysX.
+    Each step of Jacobi's method rotates the tensor by at most 45° to make its largest off-diagonal element zero.
+    Jacobi's method gives the principal moments in the same order as PhysX, which uses this method, too.
     """
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
@@ -252,8 +252,8 @@ def principal(tensor: Array) -> tuple[Vec3, Quat]:
 def balanced(moments: Vec3) -> Vec3:
     """Return physically possible moments: each positive, and none larger than the sum of the other two.
 
-    MuJoCo refuses impossible moments. A principal moment of inertia below 1e-9 of the largest becomes a thousandth of
-    the largest. A principal moment of inertia above the sum of the other two becomes equal to that sum.
+    MuJoCo refuses impossible moments. A principal moment of inertia below 1e-9 times the largest becomes 1e-3 times the
+    largest. A principal moment of inertia above the sum of the other two becomes equal to that sum.
     """
     largest = max(moments)
     values = [value if value > 1e-9 * largest else 1e-3 * largest for value in moments]
@@ -313,7 +313,8 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     """Return the solid of a mesh with points in m, from MuJoCo's compiler; ValueError if the mesh has no volume.
 
     ``faces`` (k, 3) contains the indices of each triangle's points; None means the triangles of the convex hull.
-    ``volume`` is the MJCF attribute ``inertia`` of a mesh. With ``shell``, ``Solid.volume`` is the mesh's area in m².
+    ``volume`` is a value of the MJCF mesh attribute ``inertia``, such as ``convex``. With ``shell``, ``Solid.volume``
+    is the mesh's area in m².
     """
     import mujoco
 
@@ -326,7 +327,7 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     mesh.inertia = getattr(mujoco.mjtMeshInertia, f"mjMESH_INERTIA_{volume.upper()}")
     body = spec.worldbody.add_body()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
-    # MuJoCo compiles the mesh scaled to size 1, so multiply the results by powers of the original size.
+    # MuJoCo compiles a mesh of size 1, so the results are multiplied by powers of the mesh's real ``size``.
     model = spec.compile()
     axes = rotation_matrix(tuple(model.body_iquat[1]))
     inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T

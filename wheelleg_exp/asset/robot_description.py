@@ -1,7 +1,7 @@
 """A robot as plain data: bodies, joints, shapes, and drives in SI units and radians, z up; and unique names for them.
 
 Quaternions are (w, x, y, z). This module does not know USD: a reader makes the description and the MJCF writer prints
-it. The mapping ``extra`` contains further MJCF attributes by name, which the MJCF writer prints unchanged.
+it. Each mapping ``extra`` contains MJCF attributes that the MJCF writer prints unchanged.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Geom:
 class Drive:
     """A motor on one degree of freedom.
 
-    For a hinge (slide), ``stiffness`` is in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), and a target in rad (m).
+    Units for a hinge (slide): ``stiffness`` N·m/rad (N/m), ``damping`` N·m·s/rad (N·s/m), ``target_position`` rad (m).
     ``effort`` is the motor's largest torque in N·m (force in N); None means unlimited. If ``acceleration`` is true, the
     motor's gains are multiplied by the joint's effective inertia.
     """
@@ -109,9 +109,10 @@ class Dof:
     """A MuJoCo joint (hinge, slide, or ball) between a body and its parent body.
 
     The joint's axis and anchor (m) are in the body's frame. ``range`` is the joint's limits, rad (m); None if
-    unlimited. The MJCF keyframe ``home`` contains the joint's ``position`` and ``velocity``. ``ref`` is the joint
-    coordinate at which the body has its pose ``Body.pose``. ``force_range``, N·m (N), limits the total torque (force)
-    of the joint's motors. MuJoCo has no velocity limit: ``max_velocity``, rad/s (m/s), is a limit for a controller.
+    unlimited. The MJCF keyframe ``home`` contains the joint's ``position`` and ``velocity``. ``ref`` is the joint's
+    position in the pose ``Body.pose``, like the MJCF attribute ``ref``. ``force_range``, N·m (N), limits the total
+    torque (force) of the joint's motors. Controllers must respect the limit ``max_velocity``, rad/s (m/s), because
+    MuJoCo does not limit velocities.
     """
 
     name: str
@@ -152,7 +153,7 @@ class Actuator:
 class TendonPoint:
     """A point of a spatial tendon: a site, a geom to wrap around, or a pulley that divides the tendon's length.
 
-    ``name`` is the tendon's site or geom; ``side`` is a site on the side of the geom where the tendon must pass.
+    ``name`` is the name of the site or geom; ``side`` is the MJCF attribute ``sidesite`` of a geom.
     """
 
     kind: Literal["site", "geom", "pulley"]
@@ -309,7 +310,7 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
-    # While several USD prims have the same name, prepend the name of the next parent to their names.
+    # As long as several USD prims share a name, prepend the names of their parents, level by level.
     for depth in range(2, DEEPEST + 1):
         count = Counter(names.values())
         clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]
@@ -336,7 +337,7 @@ class Numbered:
         self._next: dict[str, int] = {}
 
     def take(self, name: str) -> str:
-        """Add and return ``name``; if ``name`` is in use, add and return the first unused of ``name_2``, ``name_3``."""
+        """Reserve and return ``name`` or, if ``name`` is in use, the first unused one of ``name_2``, ``name_3``."""
         candidate, number = name, self._next.get(name, 2)
         while candidate in self._taken:
             candidate, number = f"{name}_{number}", number + 1

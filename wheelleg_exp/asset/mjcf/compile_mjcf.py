@@ -75,7 +75,7 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
         yield f"rotation of {name}", _turn(found.quat), _turn(body.pose.rotation)
         yield f"mass of {name}", found.mass, inertial.mass
         yield f"centre of mass of {name}", found.ipos, inertial.center_of_mass
-        # Compare inertia tensors, not principal moments of inertia, because MuJoCo can reorder the principal axes.
+        # MuJoCo can reorder a body's principal axes, so compare the body's whole inertia tensor.
         scale = max(inertial.moments) or 1.0
         got = _tensor(found.inertia, found.iquat)
         yield f"inertia of {name}", got / scale, _tensor(inertial.moments, inertial.axes) / scale
@@ -90,7 +90,7 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
             yield f"range of {joint_name}", joint.range, dof.range
         yield f"armature of {joint_name}", joint.armature[0], dof.armature
         yield f"friction loss of {joint_name}", joint.frictionloss[0], dof.frictionloss
-        if "springdamper" not in dof.extra:  # MuJoCo derives a joint's stiffness and damping from springdamper.
+        if "springdamper" not in dof.extra:  # MuJoCo computes stiffness and damping from ``springdamper``.
             yield f"damping of {joint_name}", joint.damping[0], dof.damping
             yield f"stiffness of {joint_name}", joint.stiffness, dof.stiffness
     geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]

@@ -115,7 +115,7 @@ class Family:
 
 
 class Classes:
-    """The default classes of an MJCF, and the attributes of each MJCF element that no default class contains.
+    """The default classes of an MJCF file, and the attributes that each MJCF element adds to its default class.
 
     ``roles`` maps names of joints, actuators, and shapes to ``wheel`` or ``leg``.
     """
@@ -146,7 +146,7 @@ class Classes:
             self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
 
     def of(self, tag: str, name: str) -> str | None:
-        """Return the default class that an MJCF element must name; None if the ``childclass`` of its body suffices."""
+        """Return an MJCF element's attribute ``class``; None if the ``childclass`` of the element's body suffices."""
         found = self._of.get((tag, name))
         return None if found is None or found == self.root or not self._needed(found) else found
 

@@ -28,12 +28,12 @@ class Notes:
         self._elements: dict[str, Element] = {}
 
     def place(self, path: str, element: Element) -> None:
-        """Remember the MJCF element made from the robot file's element ``path``; keep the first one per path."""
+        """Remember the first MJCF element that is made from the robot file's element ``path``."""
         if path:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Write the converter's assumptions as comments at MJCF elements; return comments for the start of the file."""
+        """Add the converter's assumptions as comments to MJCF elements; return comments for the head of the MJCF."""
         rules = Counter(note.rule for note in self._notes)
         many = {rule: count for rule, count in rules.items() if count > FEW}
         head = [f"{rule} ({count} places)" for rule, count in many.items()]
@@ -85,7 +85,7 @@ def file_name(mesh: desc.Mesh) -> str:
 
 
 def obj_text(mesh: desc.Mesh) -> str:
-    """Return the text of a mesh's OBJ file with all digits of each number; ``%`` is much faster here than f-strings."""
+    """Return a mesh as OBJ text with exact numbers; formatting with ``%`` is much faster here than f-strings."""
     points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031
     faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
     return "\n".join([*points, *faces]) + "\n"
@@ -237,7 +237,7 @@ class Writer:
         for item in self.robot.actuators:
             shared = self.classes.explicit("general", item.name)
             element = out.add("general", name=item.name, class_=shared)
-            # An actuator's target attribute can be ``joint``, ``tendon``, ..., so it cannot be a keyword argument.
+            # The target attribute's name (``joint``, ``tendon``, ...) varies, so it cannot be a keyword argument.
             element.attributes[item.transmission] = item.target
             element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
             element.attributes.update(self.classes.rest("general", item.name))

@@ -25,8 +25,7 @@ class Element:
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
         """Append a child element to this XML element, and return the child.
 
-        The XML text lists the attributes ``given`` last. The keyword argument ``class_`` sets the XML attribute
-        ``class``.
+        The keyword argument ``class_`` sets the XML attribute ``class``.
         """
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})

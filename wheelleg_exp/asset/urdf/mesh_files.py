@@ -213,7 +213,7 @@ def read_stl(data: bytes) -> Triangles:
         raise ValueError("the STL file is not a text file, and its length does not match its number of triangles")
     if len(corners) % 3:
         raise ValueError("a triangle of the STL file does not have three corners")
-    # The bytes of a triangle corner become one value, so that np.unique finds equal points; adding 0.0 removes -0.0.
+    # View each corner's bytes as one value, so that np.unique merges equal corners; adding 0.0 turns -0.0 into 0.0.
     keys = np.ascontiguousarray(corners + 0.0).view(np.dtype((np.void, corners.dtype.itemsize * 3))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)

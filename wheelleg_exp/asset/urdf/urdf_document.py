@@ -53,7 +53,7 @@ def parse_xml(source: Path, data: bytes) -> Element:
     start = len(data) - len(data.lstrip(b" \t\r\n"))
     skipped, parser = data[:start].count(b"\n"), expat.ParserCreate()
     elements: list[Element] = []
-    stack: list[tuple[Element, list[str]]] = []  # the XML elements whose end tag the parser has not reached
+    stack: list[tuple[Element, list[str]]] = []  # the XML elements that are still open, with their text so far
 
     def refuse(message: str, expected: str) -> NoReturn:
         raise AssetError(message, where=f"{source}:{parser.CurrentLineNumber + skipped}", expected=expected)
@@ -98,7 +98,7 @@ SHOWN_TEXT = 60  # characters in a message
 
 @dataclass(eq=False)
 class Document:
-    """A parsed URDF, and the record (``ledger``) of the elements and attributes that the converter has read."""
+    """A parsed URDF; ``ledger`` records which elements and attributes the converter has read."""
 
     source: Path
     root: Element

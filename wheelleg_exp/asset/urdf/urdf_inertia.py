@@ -29,7 +29,7 @@ def inertials(
     """
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
-    # In each group of welded links, MuJoCo needs mass and inertia for only one link.
+    # Collect groups of welded links, because MuJoCo needs mass and inertia for only one link of each group.
     groups: dict[str, list[Link]] = {}
     tops: dict[str, str] = {}
     for member in tree.depth_first():

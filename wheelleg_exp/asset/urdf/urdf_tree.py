@@ -186,7 +186,7 @@ def _seen(document: Document, link: Link) -> Seen:
 
 
 def _origin(document: Document, element: Element, became: str) -> Pose:
-    """Return the pose of a URDF ``<origin>``; the angles rotate about the fixed axes x, y, and z in this order."""
+    """Return the pose of a URDF ``<origin>``; ``rpy`` rotates about the fixed axes x, y, and z, in this order."""
     origin = element.first("origin")
     if origin is None:
         return Pose()
@@ -242,7 +242,7 @@ def _axes(document: Document, joint: Joint) -> tuple[Axis, ...]:
     elif joint.kind == "spherical":
         kinds = [("ball", (0.0, 0.0, 1.0))]
     elif joint.kind == "planar":
-        # The slides of a planar joint are x and y, turned by the shortest rotation from z to the joint's axis.
+        # A planar joint slides along x and y, both turned by the shortest rotation from z to the joint's axis.
         quat, turn = np.zeros(4), np.zeros(9)
         mujoco.mju_quatZ2Vec(quat, np.array(axis))
         mujoco.mju_quat2Mat(turn, quat)

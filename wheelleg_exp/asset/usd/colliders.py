@@ -33,7 +33,7 @@ def is_site(prim: Usd.Prim) -> bool:
 def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
     """Return the sites of each body, by the body's path.
 
-    The USD library does not know Isaac Sim's sensor types, so a sensor gets the transform of its parent prim.
+    Isaac Sim's sensors get the transform of their parent prim, because the USD library does not know their types.
     """
     found: dict[str, list[Site]] = {}
     for prim, name in named([prim for prim in stage.prims if is_site(prim)]):
@@ -110,7 +110,7 @@ def find_pieces(stage: Stage, links: Links) -> list[Piece]:
 
 
 def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
-    # A USD prim's CollisionAPI applies to all geometry prims (gprims) below the prim; a stage lists parents first.
+    # A USD prim's CollisionAPI applies to all geometry prims below it; ``stage.prims`` lists parents before children.
     carriers: dict[Sdf.Path, Usd.Prim] = {}
     for prim in stage.prims:
         path = prim.GetPath()

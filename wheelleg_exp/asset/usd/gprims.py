@@ -24,7 +24,7 @@ _SEGMENTS = 32  # polygon sides
 class Shape:
     """A shape of a body, with MuJoCo's geom type and size (m); a mesh has points (n, 3) and triangles (k, 3).
 
-    PhysX computes the shape's mass from the solid ``weight`` (in the shape's frame); None means the shape itself.
+    ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass; None means the shape itself.
     """
 
     kind: ShapeKind
@@ -222,7 +222,7 @@ def triangles(
     counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
     """Return triangles (k, 3): each polygon except holes as a fan around its first corner, in order."""
-    # The arrays below split all polygons of a mesh at once; a polygon of n corners gives n - 2 triangles.
+    # A polygon with n corners gives n - 2 triangles; all polygons of the mesh are split at once.
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     if holes is not None:

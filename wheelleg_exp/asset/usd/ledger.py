@@ -173,7 +173,7 @@ class Ledger:
         self.authored: dict[str, dict[str, Any]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return a USD attribute's authored value, or None, and record that the value becomes the MJCF part ``became``.
+        """Return a USD attribute's authored value, or None, and record ``became``, the MJCF part made from the value.
 
         ``read`` also returns attributes of USD schemas that the USD library does not know.
         """
@@ -189,7 +189,7 @@ class Ledger:
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
-        """Return the target paths of a USD relationship, and record that they become the MJCF part ``became``."""
+        """Return the target paths of a USD relationship, and record ``became``, the MJCF part made from the paths."""
         relationship = prim.GetRelationship(name)
         if not relationship or not relationship.HasAuthoredTargets():
             return []
@@ -202,7 +202,7 @@ class Ledger:
         self._mapped[str(path), name] = Mapped(str(path), name, became)
 
     def assume(self, path: object, rule: str, value: object) -> None:
-        """Record a value that the converter assumed by the rule ``rule``, because the robot file lacks the value."""
+        """Record that the robot file lacks a value, and that the converter assumed ``value`` by the rule ``rule``."""
         self._assumed[str(path), rule] = Assumption(str(path), rule, str(value))
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
@@ -215,13 +215,13 @@ class Ledger:
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Add a finding, such as ``no_colliders``, to the conversion report; ``numbers`` are its measured values."""
+        """Add an entry of a kind such as ``no_colliders``, with measured ``numbers``, to the conversion report."""
         plain_numbers = {name: float(value) for name, value in numbers.items()}
         self._found[kind, subject, str(path)] = Finding(kind, subject, str(path), plain_numbers)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The recorded findings."""
+        """The recorded findings, such as ``no_colliders``."""
         return tuple(self._found.values())
 
     def assumed(self, path: object, rule: str) -> bool:
@@ -238,7 +238,7 @@ class Ledger:
         return (str(path), name) in self._left_names
 
     def entries(self) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-        """Return a conversion's recorded attributes, assumptions, omitted physics, and warnings, in their order."""
+        """Return a conversion's records: converted attributes, assumptions, omitted attributes, and warnings."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
         mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
         return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

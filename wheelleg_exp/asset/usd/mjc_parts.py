@@ -47,7 +47,7 @@ def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
     """Return a prim's authored attributes for the MJCF; ``names`` maps USD attribute names to MJCF attribute names.
 
-    A value that is not finite stands for MuJoCo's default, so the result omits it.
+    Values that are not finite are omitted, because they stand for MuJoCo's defaults.
     """
     found: dict[str, Attribute] = {}
     for name, became in names.items():
@@ -84,7 +84,7 @@ def _plain(value: Any) -> Attribute | None:
 def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) -> dict[str, Attribute]:
     """Return a USD range and its on/off flag as two MJCF attributes.
 
-    USD's ``mjc:ctrlRange:min``, ``mjc:ctrlRange:max``, and ``mjc:ctrlLimited`` become ``ctrlrange`` and
+    For example, ``mjc:ctrlRange:min``, ``mjc:ctrlRange:max``, and ``mjc:ctrlLimited`` become ``ctrlrange`` and
     ``ctrllimited``.
     """
     switched = became.removesuffix("range") + "limited"
@@ -122,7 +122,7 @@ ACTUATOR_ATTRIBUTES = {f"mjc:{name}": name.lower() for name in _OF_ACTUATORS.spl
 
 @dataclass(frozen=True)
 class Targets:
-    """MJCF names, by prim path, of all elements that an actuator can drive; ``ranged`` contains those with limits."""
+    """MJCF names, by prim path, of all elements that an actuator can drive; ``ranged`` names elements with limits."""
 
     ranged: set[str] = field(default_factory=set)
     joints: dict[str, str] = field(default_factory=dict)
@@ -242,7 +242,7 @@ def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names
 
 
 class _BrokenPath(Exception):
-    """The path of a tendon in the USD file is invalid; the error message gives the reason."""
+    """A tendon's path in the USD file is invalid."""
 
 
 def _route(stage: Stage, prim: Usd.Prim) -> list[str]:

@@ -179,7 +179,7 @@ def read_filters(
     joined = [(first.name, second.name) for first, second in touching if first and second]
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
     pairs = {_ordered(order, a, b): None for a, b in (*joined, *bare)}
-    # Prefer MJCF <exclude> elements for pairs of bodies, because they are easier to read than collision bits.
+    # If possible, use MJCF <exclude> elements, because they are easier to read than collision bits.
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
     whole, partly = _body_pairs(solid, classes, forbidden)
@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # Shapes without collision rules use collision bit 0; all shapes with the same rules use one other bit.
+    # Shapes without collision rules get collision bit 0; shapes with equal rules share one further bit.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -210,7 +210,7 @@ def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
 
 
 def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
-    """Yield the body pairs of ``physics:filteredPairs``; a pair with a shape prim goes to ``rules`` instead."""
+    """Yield the body pairs of ``physics:filteredPairs``; add pairs with a single shape to ``rules`` instead."""
     for prim in stage.prims:
         for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
             first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
@@ -271,7 +271,7 @@ def _body_pairs(
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Return the body pairs that can never touch, and the body pairs of which only some shapes can touch.
 
-    To save time, ``_body_pairs`` compares sets of bodies whose shapes have the same collision rules, not single bodies.
+    To save time, bodies whose shapes have equal collision rules are checked together.
     """
     if not forbidden:
         return [], []

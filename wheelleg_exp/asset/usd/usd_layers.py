@@ -3,8 +3,8 @@
 The USD library opens every file that a layer names, and would wait forever for data from a named pipe.
 
 The converter reports and skips missing textures, material libraries, and layers with only visuals. A missing physics
-layer is an error, because bodies, joints, and colliders would vanish silently. The prims that refer to a missing layer
-show whether the layer contains physics; the layer's name does not, because a mesh file often contains both visuals and
+layer is an error, because bodies, joints, and colliders would vanish silently. The prims that refer to a missing layer,
+not the layer's name, show whether the layer contained physics, because mesh files often contain both visuals and
 colliders.
 """
 
@@ -24,7 +24,7 @@ from wheelleg_exp.errors import AssetError
 def open_layers(source: Path) -> list[Sdf.Layer]:
     """Open all layers of a USD stage, with the layers of all variants.
 
-    USD closes the layers when the returned list is deleted.
+    Keep the returned list, because USD closes the layers when the list is deleted.
     """
     identifier = str(source.resolve())
     require_plain_file(source, "a layer of USD")
@@ -166,8 +166,8 @@ def _bodies_of(joint: Usd.Prim) -> Iterator[Sdf.Path]:
 
 
 def _colliders(usd: Usd.Stage, holder: Sdf.Path) -> str:
-    """Return an error text if a missing layer at the prim ``holder`` leaves a collider without shapes; else ``""``."""
-    # Search ``holder`` and its parent prims for a collider without shapes, up to a prim for visuals.
+    """Return an error text if the missing layer at the prim ``holder`` had a collider's shapes, else ``""``."""
+    # Search ``holder`` and its ancestors for a collider without shapes; stop at a prim that contains visuals.
     for path in reversed(holder.GetPrefixes()):
         prim = usd.GetPrimAtPath(path)
         if not prim or (_LOOKS.search(path.name) and not _SOLID.search(path.name)):

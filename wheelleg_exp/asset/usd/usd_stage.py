@@ -94,7 +94,7 @@ def effort_limit(value: float | None) -> float | None:
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
     """Select USD variants in the stage's session layer, and return the selected variant of each variant set.
 
-    Each variant is selected on the first prim, from the default prim downwards, that has the variant set.
+    Each variant is selected on the first prim with the variant set, searched from the default prim downwards.
     """
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
@@ -243,7 +243,7 @@ def library(source: Path) -> Iterator[None]:
 
 
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
-    """Return an AssetError with the USD library's first message; for a text layer, also with the wrong line."""
+    """Return an AssetError with the USD library's first error message and, for a text layer, the line of the error."""
     text = _complaint(error)
     place = re.search(r"(\S+?):(\d+):(\d+): .*?(Expected .*?)?at (.*)$", text)
     if place is None:
@@ -379,7 +379,7 @@ def find_scene(stage: Stage) -> Usd.Prim | None:
 
 
 def angle_in_radians(stage: Stage, value: float) -> float:
-    """Return an angle of MuJoCo's USD schemas in rad; the scene's compiler settings define the authored unit."""
+    """Convert an angle of MuJoCo's USD schemas to rad, from the unit in ``mjc:compiler:angle`` (default: degrees)."""
     scene = find_scene(stage)
     unit = stage.ledger.read(scene, "mjc:compiler:angle", "the unit of mjc:ref and mjc:springref") if scene else None
     return value if unit == "radian" else math.radians(value)

@@ -1,6 +1,6 @@
 """Make a spanning tree of bodies from a graph of joints, and find the joints that close kinematic loops.
 
-A MuJoCo equality constraint replaces a joint that closes a loop, if MuJoCo has an equality with the joint's effect.
+Where possible, a MuJoCo equality constraint replaces each joint that closes a loop.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ def is_exact(joint: Joint) -> bool:
 
 
 def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
-    """Find a better joint for opening a kinematic loop; return the present and the better joint, or None.
+    """Return the joint at which a kinematic loop is open, and a better joint for opening it; None without a better one.
 
-    A kinematic loop best opens at a joint without drive, if a MuJoCo equality constraint can replace the joint. Among
+    The best joint for opening a loop has no drive, and a MuJoCo equality constraint can replace the joint. Among
     several hinge and ball joints of a loop, the joint farthest from the root body is best.
     """
     by_path = {node.link.path: node for node in nodes}
@@ -163,10 +163,10 @@ def _leave_coordinates(stage: Stage, joint: Joint) -> None:
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
-    The spanning tree grows level by level, so a loop without excludeFromArticulation opens at the joint furthest from
-    the root. If possible, a kinematic loop opens at a joint that a MuJoCo equality can replace.
+    A loop without excludeFromArticulation opens at the joint farthest from the root, because the tree grows level by
+    level. If possible, a kinematic loop opens at a joint that a MuJoCo equality can replace.
 
-    The base mode ``floating`` drops joints that fix a root to the world; ``fixed`` drops the free joint of the root.
+    The base mode ``floating`` drops joints that fix a root body to the world; ``fixed`` drops the root's free joint.
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
@@ -302,7 +302,7 @@ class _Builder:
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
     def _close(self) -> None:
-        """Make each joint outside the spanning tree a loop closure, or a second joint between a body and its parent."""
+        """Convert joints outside the spanning tree to loop closures, or to further joints of their child bodies."""
         said = _joints_add_up(self.stage)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
@@ -328,5 +328,5 @@ def _joints_add_up(stage: Stage) -> bool | None:
 
 
 def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether all ``joints`` have MjcJointAPI, so that their degrees of freedom add up as in MuJoCo."""
+    """Return whether all ``joints`` have MjcJointAPI; the degrees of freedom of several such joints add up."""
     return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

@@ -161,8 +161,8 @@ SMALLEST = 1e-15  # kg or kg m²
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
     """Return a body's mass, centre of mass, and principal moments of inertia.
 
-    Colliders with disabled collision also contribute to the body's mass. MuJoCo accepts a mass of zero only on a
-    ``welded`` body, which cannot move in its parent.
+    Colliders with disabled collision also contribute to the body's mass. MuJoCo accepts zero mass only for a ``welded``
+    body, which cannot move relative to its parent.
     """
     authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
     parts: list[Part] = []

@@ -54,7 +54,7 @@ class Links:
         return found
 
     def below(self, path: Sdf.Path) -> list[Link]:
-        """Return the rigid bodies whose prim is at or below the prim path ``path``."""
+        """Return the rigid bodies at or below the prim path ``path``."""
         return [link for link in self.by_path.values() if Sdf.Path(link.path).HasPrefix(path)]
 
 

@@ -19,7 +19,7 @@ Root = tuple[Link, "Joint | None"]
 class Graph:
     """The graph of bodies and joints: the joints at each body; ``edges[None]`` are the joints to the world.
 
-    The bodies in ``released`` have lost their joint to the world, but stay roots of spanning trees.
+    ``released`` lists root bodies whose joint to the world is removed by the base mode ``floating``.
     """
 
     links: Links
@@ -61,7 +61,7 @@ class Graph:
 
 
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
-    """Return the root bodies of the spanning trees, in the order in which the spanning trees grow.
+    """Return the root bodies, in the order in which their spanning trees are built.
 
     The roots are, in this order: bodies with a joint to the world, bodies with ArticulationRootAPI, kinematic bodies,
     PhysX's centre body of each floating articulation, and bodies that are not the child of any joint.

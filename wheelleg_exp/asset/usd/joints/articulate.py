@@ -22,11 +22,11 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
     """Return a body's degrees of freedom; joint positions that USD does not store are computed from the body's pose.
 
-    A joint coordinate outside the joint's limits is clamped to the limits. With ``loops``, the joint coordinate 0 is
-    never clamped, because moving a single joint would break a kinematic loop.
+    A joint coordinate outside the joint's limits is clamped to the limits. If ``loops`` is true, the joint coordinate 0
+    is not clamped, because moving one joint would break a kinematic loop.
 
-    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If the child body is body0, the
-    converter negates the joint's axis; limits, targets, and gains stay the same.
+    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If body0 is the child body, the
+    converter negates the joint's axis, but not its limits, targets, and gains.
     """
     if node.joint is None:
         return ()
@@ -76,10 +76,7 @@ def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
-    """Return the joint coordinates that bring a body as near as possible to the body's pose in the USD file.
-
-    For ball joints, and for bodies with several joints, all returned coordinates are 0.
-    """
+    """Return the joint coordinates that bring a body as near as possible to the body's pose in the USD file."""
     assert node.joint is not None
     if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):
         return [0.0] * len(dofs)

@@ -89,7 +89,7 @@ def _wide(limits: Range) -> Range:
 
 
 def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
-    """Return MJCF attributes of a tendon spring that, as in PhysX, acts only outside the distance range."""
+    """Return the MJCF attributes of a tendon's spring, which acts only outside the distance range, as in PhysX."""
     read, units = stage.ledger.read, stage.units
     if read(prim, f"{SPRING}springEnabled", "tendon stiffness") is not True:
         return {}

@@ -48,7 +48,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
 
 
 def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report an omitted target velocity; in PhysX, the joint would rest ``shift`` away from its target position."""
+    """Report that the MJCF omits a target velocity, which in PhysX moves the joint's rest position by ``shift``."""
     name = f"drive:{axis.token}:physics:targetVelocity"
     unit = "m" if axis.kind == "slide" else "rad"
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
@@ -74,7 +74,7 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
 
 
 def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return ``effort``; report an effort limit that is 0, or too large for any motor, as a placeholder."""
+    """Return ``effort``; report an implausible effort limit, such as 0, as a placeholder."""
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -82,7 +82,7 @@ def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float |
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
-    """Clamp a joint coordinate to the joint's limits, and mention a change in the conversion report."""
+    """Return ``value`` clamped to the joint's limits; record a changed value in the conversion report."""
     if limits is None or limits[0] <= value <= limits[1]:
         return value
     inside = min(max(value, limits[0]), limits[1])
@@ -156,7 +156,7 @@ def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], f
 def _per_axis(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
 ) -> Iterable[Found]:
-    """Yield PhysxJointAxisAPI's value of ``what`` for one joint axis; a ball joint gets its axes' strictest value."""
+    """Yield a PhysxJointAxisAPI attribute of a joint axis; a ball joint gets the strictest value of its three axes."""
     tokens = TURNS if axis.kind == "ball" else (axis.token,)
     found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
     values = [value for _, value in found if value is not None]
@@ -183,7 +183,7 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
-    """Return whether two USD attributes have equal values, or are the same attribute of different joint axes."""
+    """Return whether an attribute has the value of ``winner``, or is the attribute ``winner`` of another joint axis."""
     first, *_, last = winner[0].split(":")
     return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
 
@@ -212,7 +212,7 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
 def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
     """Return the total force range of all motors of a joint, in N·m or N.
 
-    If only one end of the force range is authored, the missing end is MuJoCo's default, 0.
+    If the USD file has only one end of the range, the other end is MuJoCo's default, 0.
     """
     low, high = (stage.ledger.read(prim, f"mjc:actuatorfrcrange:{end}", "actuatorfrcrange") for end in ("min", "max"))
     if low is not None or high is not None:

@@ -22,7 +22,8 @@ WELD = "a weld to the parent body"
 class Joint:
     """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them.
 
-    ``excluded`` is USD's excludeFromArticulation; a joint with ``closes`` stays outside the spanning tree of bodies.
+    ``excluded`` is USD's excludeFromArticulation. If ``closes`` is true, the joint is outside the spanning tree of
+    bodies.
     """
 
     path: str
@@ -135,7 +136,7 @@ def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
 
 
 def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
-    """Return a joint's frame in the frame of body0 or body1 (index ``i``); in the world frame without such a body."""
+    """Return a joint's frame relative to body ``i`` (body0 or body1), or in the world if the joint has no such body."""
     position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
     rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
     if not any(rotation):
