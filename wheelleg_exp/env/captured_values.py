@@ -1,7 +1,7 @@
 """Find the attribute values that the methods of an environment's step read and write.
 
-``graph_capture`` replays a CUDA graph only while the numbers, texts, and tensor shapes that the recording depended on
-are the same. A *slot* is a place that holds a value: an attribute, or an entry of a dictionary or list in an attribute
+``graph_capture`` replays a CUDA graph only if the attributes have the same numbers, texts, and tensor shapes as during
+the recording. A *slot* is a place that holds a value: an attribute, or an entry of a dictionary or list in an attribute
 (see ``state.object_graph``).
 """
 
@@ -28,7 +28,7 @@ class Values:
     """The attributes of an environment and its managers that CUDA graphs of the environment's step read or write.
 
     A number or text that a captured method changes (a *flag*) is read before each replay of a CUDA graph. A number or
-    text that no captured method changes (a *setting*) is read again only after Python code has run.
+    text that no captured method changes (a *setting*) can change only in Python code, and is read only after such code.
 
     Attributes:
         is_checked: whether no code that may change settings has run since the settings were last compared.
@@ -71,7 +71,7 @@ class Values:
         return self._number, tuple([kind_of(get()) for get in self._readers])
 
     def add_flags(self, found: Sequence[Slot]) -> bool:
-        """Include attribute values in the key of each CUDA graph; return whether one of the attributes is new."""
+        """Include the attributes ``found`` in the keys of CUDA graphs; return whether the keys lacked one of them."""
         new = {slot.id: slot for slot in found if slot.id not in self._flags}
         if new:
             self._flags |= new
@@ -89,7 +89,7 @@ class Values:
         return next((str(slot) for slot, was, value in pairs if was != value), "the set of attributes")
 
     def _check(self) -> None:
-        """Compare all constant attributes with their last values, and set ``_number``, which identifies the values.
+        """Check whether a setting has changed; set ``_number``, which identifies the combination of setting values.
 
         Most calls find no change and must be fast, so ``_check`` compares identities of the attributes' objects first.
         ``_check`` searches for new attributes only if a dictionary or list was replaced or changed its size.
@@ -111,7 +111,7 @@ class Values:
         self._present = now
         settings = tuple([kind_of(value) for value in now if not _is_container(value)])
         self._number = self._known.pop(settings, next(self._numbers))
-        # Add the present entry to the end of ``_known``, so that its first entry is the least recently used.
+        # Re-insert the used entry at the end of ``_known``, so that the first entry is the least recently used one.
         self._known[settings] = self._number
         if len(self._known) > _MOST_KNOWN:
             del self._known[next(iter(self._known))]
@@ -134,7 +134,7 @@ class Values:
         self._sizes = [(one, len(one)) for one in sized]
 
     def move_rebound(self, found: Sequence[Slot]) -> None:
-        """Copy tensors that a step newly assigned into static tensors, which all CUDA graphs share."""
+        """Replace newly assigned tensors by static tensors with the same values, which all CUDA graphs share."""
         moved = []
         # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
@@ -152,7 +152,7 @@ class Values:
                 slot.set(static)
 
     def undeclared(self) -> Iterator[tuple[tuple[int, str], tuple[str, Any]]]:
-        """Yield copies of all manager terms' attributes, in which None replaces tensors, numbers, and texts."""
+        """Yield copies of the manager terms' attributes; in the copies, tensors, numbers, and texts are None."""
         for term in self.objects():
             if isinstance(term, TermBase):
                 for name, value in list(vars(term).items()):
@@ -190,7 +190,7 @@ class TouchedMemory(TorchDispatchMode):
 
 
 def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
-    """Copy newly assigned tensors into the attributes' old tensors, and assign the old tensors to the attributes again.
+    """Copy newly assigned tensors into their attributes' old tensors, and assign the old tensors again.
 
     Each replay of a CUDA graph reads and writes the same memory, so attributes must keep their tensors.
     """
@@ -203,7 +203,7 @@ def write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
 def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
     """Copy the second tensor of each pair into the pair's first tensor.
 
-    Clone source tensors that share memory with any target tensor first, because a copy could overwrite them.
+    First clone source tensors that share memory with a target, because a copy could overwrite them.
     """
     targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
     copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
@@ -216,7 +216,7 @@ def _is_container(value: Any) -> bool:
 
 
 def _runs_outside(node: Any) -> bool:
-    """Return whether an object is an event term that CUDA graphs exclude because its mode is not ``reset``."""
+    """Return whether an object is an event term with another mode than ``reset``; no CUDA graph runs such terms."""
     return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
@@ -244,7 +244,7 @@ def fits(value: Any, static: torch.Tensor) -> bool:
 
 
 class _Identity:
-    """A dictionary key that compares objects by identity, and keeps the object so that Python does not reuse its id."""
+    """A dictionary key that compares objects by identity, and keeps its object alive, so that the id stays unique."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -276,7 +276,7 @@ def is_changed(was: Any, now: Any) -> bool:
 
 
 def has_other_entries(now: Any, was: dict[Any, Any]) -> bool:
-    """Return whether a dictionary has got other keys or other value objects since its copy ``was`` was made."""
+    """Return whether the keys or the value objects of a dictionary differ from those of its earlier copy ``was``."""
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
 
 

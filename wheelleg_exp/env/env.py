@@ -25,7 +25,7 @@ from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
-# The state, outputs, and observations of one environment need at least 10,000 bytes of memory.
+# One environment needs at least 10,000 bytes of memory for its physics and observations.
 _BYTES_PER_ENV = 10_000
 
 Observations = dict[str, Group]
@@ -101,12 +101,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # With recorder terms, capture no CUDA graph, because recorder terms wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
-        # Keep this line last in ``__init__``, because checkpoints store all attributes that the environment gets later.
+        # Keep this line last: checkpoints store every attribute that the environment gets after this line.
         self._attributes = EnvAttributes(self, self.managers, cfg)
 
     @property
     def managers(self) -> dict[str, Any]:
-        """The nine managers by the name of each manager's config section."""
+        """The environment's nine managers, by the names of their config sections."""
         return {
             "scene": self.scene_manager,
             "events": self.event_manager,
@@ -210,7 +210,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.write_data_to_sim()
 
     def _find_ended(self, skipped: torch.Tensor | None) -> torch.Tensor:
-        """Find the environments whose episode ends, and start to copy their mask (N,) to the host."""
+        """Return a mask (N,) of the environments whose episode ends, and start to copy the mask to the host."""
         done, unstable = self._update_and_terminate(skipped)
         self._ended.start(done, unstable)
         return done
@@ -255,10 +255,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return bool(self.observers)
 
     def _reset_ended(self, ended: torch.Tensor) -> None:
-        """Reset the environments ``ended`` (n,).
-
-        Also reset environments whose NaN reward has reached the host only after ``_end_episodes``.
-        """
+        """Reset the environments ``ended`` (n,), and those whose NaN reward ``_end_episodes`` did not know yet."""
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
         if len(ended):
@@ -267,7 +264,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        # Find NaN rewards here, because ``_end_episodes`` did not wait until the GPU had computed all rewards.
+        # ``_end_episodes`` did not wait until the GPU had computed the rewards, so some NaN rewards are found only now.
         failed, not_reset = self._ended.late()
         self._end_failed(failed)
         if len(not_reset):

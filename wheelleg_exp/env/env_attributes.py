@@ -44,7 +44,7 @@ class EnvAttributes:
     def save(self) -> dict[str, Any]:
         """Return the attributes of the environment that terms have added or changed.
 
-        Raise ConfigError if a term stores state anywhere except in attributes of the term and of the environment.
+        Raise ConfigError if a term stores state outside of its own attributes and the environment's attributes.
         """
         self._env.scene.require_compiled_model()
         self._outside.require_unchanged()

@@ -8,11 +8,11 @@ A CUDA graph repeats kernels on fixed memory and does not run Python. A replay s
 ``GraphCapture`` must know all attributes that the recorded method reads and writes. The contract for the objects that a
 captured method uses (terms, managers, robot, sensors) is:
 
-- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A captured method may write to a
-  tensor, or assign a new tensor of equal shape to an attribute.
+- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A captured method may change an
+  attribute's tensor in place, or replace it by a new tensor of the same shape.
 - **Settings** are attributes that hold a number, a text, None, or a tuple. If a number in an attribute changes,
-  ``GraphCapture`` does not replay a graph that was recorded with the old number. For each frequent combination of
-  numbers and texts in the attributes, ``GraphCapture`` records a separate graph.
+  ``GraphCapture`` does not replay a graph that was recorded with the old number. ``GraphCapture`` records one CUDA
+  graph for each frequent combination of the attributes' numbers and texts.
 - A captured method may also change a number or text, if the new value depends only on the old numbers and texts.
 - All other values that a captured method changes are undeclared: a number that counts up, a growing list, a deque, a
   tuple of tensors, a module, or a foreign object. A method that changes a counter or a list, or that waits for the GPU,
@@ -41,11 +41,11 @@ from wheelleg_exp.state.object_graph import Slot, is_plain
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
-# Record at most 8 CUDA graphs per method, but 128 of the reset, one for each number of environments to reset.
+# Record at most 8 CUDA graphs per method, and 128 for the reset: one per number of reset environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
 # Count how often each combination of attribute values occurred among a method's last 1024 calls.
 _WINDOW = 1024
-# Warn after 256 more runs of a method as Python code than as a CUDA graph.
+# Warn when a method's runs as Python code outnumber the replays of its CUDA graphs by 256.
 _MANY = 256
 _MOST_MISMATCHES = 64
 
@@ -56,8 +56,8 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
     """Mark a method of the environment's step that may be captured as a CUDA graph.
 
     If ``to_caller`` is true, the environment returns the result to its caller, so ``GraphCapture`` copies the result
-    out of the CUDA graph's memory. The caller may change attributes of the environment, so ``GraphCapture`` compares
-    them before the next replay.
+    out of the CUDA graph's memory. The caller may change attributes of the environment, so ``GraphCapture`` checks for
+    changes before the next replay.
     """
 
     def decorate(method: Method) -> Method:
@@ -75,7 +75,7 @@ def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
 def host_part(method: Method) -> Method:
     """Mark a method that always runs as Python code and may change any attribute, for example by calling user code.
 
-    A decorated method returns False to state that it has changed no attribute.
+    If a method marked by ``host_part`` returns False, ``GraphCapture`` assumes that it has changed no attribute.
     """
 
     @functools.wraps(method)
@@ -111,7 +111,7 @@ class CudaGraph:
     def _make(self) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
         for generator in self._generators:
-            # CUDA graphs reject subclasses of torch.Generator, but graphsafe_get_state returns a plain torch.Generator.
+            # CUDA graphs reject subclasses of torch.Generator, so pass the plain generator from graphsafe_get_state.
             graph.register_generator_state(generator.graphsafe_get_state())
         return graph
 
@@ -127,12 +127,12 @@ class CudaGraph:
                     failed.append(error)
                     raise
         except Exception as error:
-            # Restore the stream, because a capture that fails at its end leaves its stream as torch's current stream.
+            # If a capture fails at its end, its stream remains torch's current stream, so restore the old stream.
             torch.cuda.set_stream(stream)
-            # Capture one kernel, because torch blocks the random generators of a failed capture until a later capture.
+            # After a failed capture, torch blocks the random generators until the next capture, so capture one kernel.
             with torch.cuda.graph(self._make(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            cause = (failed or [error])[0]  # Prefer the error of ``work``, which names the failed manager term.
+            cause = (failed or [error])[0]  # Prefer the error of ``work`` to torch's error, which names no term.
             raise cause from cause.__cause__
 
     def replay(self) -> None:
@@ -213,7 +213,7 @@ class Recording:
         self._containers = list(found.values())
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy attribute values and arguments to the CUDA graph's tensors; return attributes that cannot be copied."""
+        """Copy attributes and arguments to the CUDA graph's tensors; return the attributes whose values do not fit."""
         try:
             if not all([parent[key] is container for parent, key, container in self._containers]):
                 self._find_places()
@@ -288,7 +288,7 @@ class CapturedPart:
             return self._run(args)
         state = self._values.key()
         if self._generation != self._values.generation:
-            # Delete all recorded CUDA graphs, because their keys do not contain an attribute that a method changes.
+            # Delete all CUDA graphs recorded so far, because ``Values.key`` now includes the values of more attributes.
             self._generation = self._values.generation
             self.recordings.clear()
             self._checked.clear()
@@ -307,7 +307,7 @@ class CapturedPart:
                 self._reset_caches()
                 return self._run(args)
             if self._generation == self._values.generation:
-                # Store the CUDA graph only if its key contains every attribute that changed during the recording.
+                # Store the graph only if ``Values.key`` already contained every attribute that the recording changed.
                 if len(self.recordings) >= self._room:
                     del self.recordings[self._rarest()]
                 self.recordings[key] = recording
@@ -324,7 +324,7 @@ class CapturedPart:
         return self._work(*args)
 
     def _count(self, key: Key) -> int:
-        """Store the attribute values ``key`` of a call; return how many of the last 1024 calls had these values."""
+        """Record a call with the attribute values ``key``; return how many of the last 1024 calls had these values."""
         self._recent.append(key)
         self._counts[key] += 1
         if len(self._recent) > _WINDOW:
@@ -338,17 +338,14 @@ class CapturedPart:
         """Return whether the attribute values ``key`` occurred often enough to record a CUDA graph for them."""
         if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
             return False
-        # Replace the least used CUDA graph only if the new attribute values occurred at least twice as often.
+        # Replace the least used CUDA graph only if ``key`` occurred at least twice as often as the graph's key.
         return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
 
     def _rarest(self) -> Key:
         return min(self.recordings, key=lambda known: self._counts[known])
 
     def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Delete a CUDA graph into whose memory the tensors of the attributes ``unfit`` cannot be copied.
-
-        Keys of later CUDA graphs contain the shapes and types of the tensors in ``unfit``.
-        """
+        """Delete a CUDA graph, because the tensors of the attributes ``unfit`` do not fit into the graph's memory."""
         del self.recordings[key]
         self._values.add_flags(unfit)
         self._mismatches += 1
@@ -399,7 +396,7 @@ class CapturedPart:
 
     def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
         """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
-        # First register only used random streams, because each registered stream costs two kernel launches per replay.
+        # First try only the random streams in use, because each registered stream adds two kernel launches to a replay.
         for streams in (self._drawn, self._streams()):
             try:
                 return self._record(args, self._make_graph(streams))
@@ -426,7 +423,7 @@ class CapturedPart:
             with touched:
                 result = self._work(*inputs)
                 if self.is_reset:
-                    # Store the log of a reset as names and one tensor, which is faster to copy than many tensors.
+                    # Stack the logged numbers of a reset, because one tensor is faster to copy than many tensors.
                     if not all(isinstance(value, torch.Tensor) for value in result.values()):
                         raise RuntimeError("the log of a reset must contain only tensors, but contains another value")
                     result = list(result), torch.stack([value.reshape(()) for value in result.values()])
@@ -436,7 +433,7 @@ class CapturedPart:
         try:
             graph.record(work)
         except Exception:
-            # Restore the old attribute values, because a failed capture has run no kernels that compute new values.
+            # Restore the attributes, because a failed capture has assigned tensors whose values no kernel has computed.
             for slot, content in dictionaries:
                 slot.set(content)
             for slot, value in (*tensors, *others):

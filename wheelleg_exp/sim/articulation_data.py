@@ -35,8 +35,8 @@ class ArticulationData(RobotData):
     The suffix ``_w`` of an attribute name means world axes, and the suffix ``_b`` means the axes of a link.
     Velocities refer to centres of mass of bodies, unless the attribute name contains ``link``. Poses refer to link
     frames, unless the attribute name contains ``com``. A pose is a position, m, and a quaternion (w, x, y, z). A
-    velocity consists of a linear velocity, m/s, and an angular velocity, rad/s. A state is a pose and a velocity. CoM
-    means centre of mass.
+    velocity consists of a linear velocity, m/s, and an angular velocity, rad/s. A state, such as ``root_state_w``, is a
+    pose followed by a velocity. CoM means centre of mass.
 
     Attributes:
         GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
@@ -207,7 +207,7 @@ class ArticulationData(RobotData):
         """
         if self._vel_before is None:
             # At the first read of accelerations, the bodies' velocities before the last physics step are unknown.
-            # Compute the bodies' old velocities with ``forward``, from the qpos and qvel before the last physics step.
+            # Compute the bodies' old velocities from the qpos and qvel before the last physics step.
             # After the first read, ``before_step`` stores the bodies' velocities before each physics step.
             sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
             self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))

@@ -102,7 +102,7 @@ class BatchEngine(Engine):
             self.batch.forward(None if ids is None else ids.numpy(), stage=_STAGE_VEL)
 
     def reset(self, ids: torch.Tensor) -> None:
-        rows = self.state.index_select(0, ids)  # Keep finite positions and velocities; reset events write new ones.
+        rows = self.state.index_select(0, ids)
         rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.state.index_copy_(0, ids, rows)
         self._all_warnings.index_fill_(0, ids, 0)
@@ -137,7 +137,7 @@ class BatchEngine(Engine):
         """Return the engine's state; raise ConfigError if a term expanded a field with MuJoCo's ``Batch.expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
-                f"checkpoints do not save {' and '.join(hidden)}, which a term expanded with MuJoCo's 'Batch.expand'",
+                f"a term called MuJoCo's 'Batch.expand' for {' and '.join(hidden)}, which checkpoints do not save",
                 key="env.scene.sim.batch",
                 expected=f"env.scene.sim.expand('{hidden[0]}')",
             )
@@ -154,7 +154,7 @@ class BatchEngine(Engine):
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        # Call ``set_const`` with the same model fields as its last call in the saved run; then load all saved fields.
+        # Repeat the last ``set_const`` call before the checkpoint, with that call's fields; then load all saved fields.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:
             self.expand(name)

@@ -71,6 +71,6 @@ def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class
 
 
 def unsupported_members(owner: type) -> dict[str, str]:
-    """Return the names of a class's unsupported attributes, and the reason for each of them."""
+    """Return the Isaac Lab attributes of a class that MuJoCo does not support, with the reason for each."""
     found = (item for kind in reversed(owner.__mro__) for item in vars(kind).items())
     return {name: member.why for name, member in found if isinstance(member, UnsupportedMember)}

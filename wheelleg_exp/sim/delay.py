@@ -30,7 +30,7 @@ class DelayBuffer:
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
         """Store a sample (N, ...), and return the sample that was stored ``lag`` calls earlier."""
-        # Assign a new tensor, because a tensor that was created in inference mode cannot be changed in place.
+        # Do not change ``_samples`` in place, because torch forbids this for tensors created in inference mode.
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
         return self._read(self._samples)

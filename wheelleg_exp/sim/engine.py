@@ -31,7 +31,7 @@ class Engine(Kept, ABC):
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: names of the model fields, and ``WRENCHES``, that terms have obtained from the engine and may have
-            changed. The event manager empties the set ``asked`` after each call of an event term.
+            changed. After each call of an event term, the event manager deletes all names from the set ``asked``.
     """
 
     name: ClassVar[str]
@@ -59,8 +59,8 @@ class Engine(Kept, ABC):
         """Return a view (N, ...) of an MjData field, which always shows the present values.
 
         Code may write to MjData's state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All MjData fields
-        except the state fields are outputs of the last physics step. Read an output of the engine before the next call
-        of ``forward``, which overwrites the output.
+        except the state fields are outputs of the last physics step. Read outputs such as ``xpos`` before calling
+        ``forward``, which overwrites them.
         """
 
     @property
@@ -115,7 +115,7 @@ class Engine(Kept, ABC):
         """Return a mask (N,) of the simulations that have had NaN or huge values since their last reset."""
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return a sum that is finite only if all positions and velocities of the simulations ``rows`` are finite."""
+        """Return a number that is NaN or inf if a position or velocity of the simulations ``rows`` is NaN or inf."""
         return self.view("qpos")[rows].sum() + self.view("qvel")[rows].sum()
 
     @abstractmethod

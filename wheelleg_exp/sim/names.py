@@ -71,7 +71,7 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
 
 
 def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
-    """Return the errors in the config key ``env.robot.joint_order`` for a robot with the joints ``joints``."""
+    """Check that ``env.robot.joint_order`` lists each of the robot's joints once; return the errors."""
     key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
     unknown = [(f"the robot has no joint '{n}'", nearest_name(str(n), joints)) for n in order if n not in joints]
     errors = [ConfigError(message, key=key, expected=expected, nearest=nearest) for message, nearest in unknown]
@@ -88,7 +88,7 @@ def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigErro
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
     """Return an error for each joint that two actuator groups, or two action terms, drive at once.
 
-    ``claims`` lists a tuple (name, config key, joints) for each actuator group or action term.
+    ``claims`` has a tuple (name, config key, driven joints) for each actuator group or action term.
     """
     owner: dict[str, str] = {}
     errors = []

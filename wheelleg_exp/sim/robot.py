@@ -84,13 +84,13 @@ class Robot(RobotWriters):
         # ``_root_xfrc`` is a view (2, 3, N) of the external force and torque on the root links of N environments.
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
         # ``_stale`` lists the environments whose robot state was written since the last call of ``take_stale``.
-        # A list of index tensors is cheaper than a mask, because most writes of a reset use the same index tensor.
+        # Most writes of a reset use the same index tensor, which ``_stale`` stores once, so no mask must be computed.
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = cloned(self.data.settings())
         self._wrench_bodies: tuple[int, ...] = ()
-        # Store external forces and torques in the memory order of ``quat_to_matrix``, so that they are fast to rotate.
+        # In memory, the environments are the last dimension of ``_wrench``, which makes rotating the wrenches fast.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
@@ -145,7 +145,7 @@ class Robot(RobotWriters):
             start = stop
         self._has_new_targets = False
         bodies = list(self._wrench_bodies)
-        if bodies == [0]:  # The root link's rotation needs no forward kinematics, because it is part of the state.
+        if bodies == [0]:  # The root link's rotation is part of qpos, so this case needs no forward kinematics.
             self._root_xfrc.copy_((data.root_rot_w.permute(1, 2, 0) * self._root_wrench).sum(dim=2))
         elif bodies:
             world = data.body_rot_w[:, bodies] @ self._wrench[:, bodies]

@@ -76,7 +76,7 @@ class RobotData(Kept):
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
-        # Create the torque view before the first physics step, because a new view contains zeros until the next step.
+        # Call ``view`` before the first physics step, because a new view contains zeros until the next physics step.
         sim.view("actuator_force")
 
     def invalidate(self) -> None:
@@ -90,7 +90,7 @@ class RobotData(Kept):
             self.invalidate()
 
     def _output(self, name: str) -> torch.Tensor:
-        """Return a result of the engine; after a write of the state, call ``Scene.refresh`` before reading results."""
+        """Return the engine's result ``name``, such as ``xpos``; call ``Scene.refresh`` first after a state write."""
         self._shows_outputs = True
         return self._sim.derived(name)
 

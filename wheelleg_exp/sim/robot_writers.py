@@ -36,9 +36,10 @@ class RobotWriters(Kept):
     """Methods that find joints and bodies, write the robot's state and parameters, and set joint targets.
 
     Indices are tensors, lists or slices; None means all environments or all joints. Poses and velocities are in world
-    axes. A pose is a position (x, y, z), m, and a quaternion (w, x, y, z). A velocity is linear, m/s, and angular,
-    rad/s. A state is a pose and a velocity. Joint parameters are a tensor (n, k) for n environments and k joints, or
-    one number for all joints. Actuator gains and limits have no effect on a joint without an actuator.
+    axes. A pose is a position (x, y, z), m, and a quaternion (w, x, y, z). A velocity is a linear velocity, m/s,
+    followed by an angular velocity, rad/s. A root state is a pose followed by a velocity. Joint parameters are a tensor
+    (n, k) for n environments and k joints, or one number for all joints. Actuator gains and limits have no effect on a
+    joint without an actuator.
     """
 
     options: RobotOptions
@@ -100,7 +101,7 @@ class RobotWriters(Kept):
 
         The returned joint indices refer to ``joint_subset`` if it is given, otherwise to all joints. With
         ``preserve_order``, the joints are in the order of the regular expressions instead of the robot's order. Error
-        messages name ``key``, the config key of the regular expressions ``name_keys``.
+        messages contain ``key``, the config key from which the regular expressions ``name_keys`` come.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -137,7 +138,7 @@ class RobotWriters(Kept):
         velocity = root_velocity.to(dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
         angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
-        # The link origin's velocity is the CoM's velocity minus R (omega x c), with the CoM's position c in the link.
+        # The link origin's velocity is the CoM's velocity minus R (omega x c), with the CoM at c in the link frame.
         lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
         self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
 
@@ -230,8 +231,8 @@ class RobotWriters(Kept):
         """Apply forces (n, k, 3), N, and torques (n, k, 3), N·m, to bodies until the next reset of ``env_ids``.
 
         The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the frames of the links. The
-        forces and torques on a link are in link axes and rotate with the link. If ``is_global`` is true, all vectors
-        are given in world axes, but the forces and torques still rotate with the links.
+        forces and torques on a link are in link axes and rotate with the link. If ``is_global`` is true, the arguments
+        are in world axes; afterwards, the forces and torques rotate with the links.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -267,7 +268,7 @@ class RobotWriters(Kept):
         self._sim.asked.add(WRENCHES)
 
     def update(self, dt: float) -> None:
-        """Do nothing, because ``data`` of the robot always shows the robot's present state."""
+        """Do nothing, because ``robot.data`` always contains the robot's present state."""
         del dt
 
     def _rows(self, env_ids: Ids) -> torch.Tensor:
@@ -363,10 +364,10 @@ class RobotWriters(Kept):
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
         """Set the parameter ``name`` of the actuators, such as ``stiffness``.
 
-        For each implicit actuator group, return a slice of MuJoCo's actuators, values (n, k), and a mask (k,) of set
-        joints. MuJoCo's solver computes the torques of implicit actuators.
+        For each implicit actuator group, return the slice of its MuJoCo actuators, their new values (n, k), and a mask
+        (k,) of the joints to which new values were written.
         """
-        self._has_new_targets = True  # Recompute the MuJoCo controls, because they depend on the gains.
+        self._has_new_targets = True  # New gains change the MuJoCo controls, even if joint targets are unchanged.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True
         spread = torch.zeros(len(ids), self.num_joints, device=self.device)

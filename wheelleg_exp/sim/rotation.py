@@ -33,7 +33,7 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
 # ``_HALF_ANGLES_TO_QUAT`` maps products of half-angle sines and cosines of roll, pitch, and yaw to a quaternion.
-# In ``_HALF_ANGLES_TO_QUAT``, index 0 of roll, pitch, or yaw means the half angle's cosine, and index 1 its sine.
+# In ``_HALF_ANGLES_TO_QUAT[roll, pitch, yaw]``, index 0 stands for a half angle's cosine, and index 1 for its sine.
 _HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
@@ -54,7 +54,7 @@ def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     parts, table, n = q.T.contiguous(), _on(_PRODUCTS_TO_MATRIX, q.dtype, q.device), q.shape[0]
     products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
-    # Matrix-vector products (n = 1) and matrix products add numbers in different orders, so their last bits differ.
+    # Matrix-vector products (n = 1) add numbers in another order than matrix products, so results differ slightly.
     if n == 1:
         return (products.T @ table).view(1, 3, 3)
     return (table.T @ products).view(3, 3, n).permute(2, 0, 1)

@@ -195,9 +195,9 @@ class Scene(Kept):
     def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
-        ``root_pose`` (N, 7) is in m and (w, x, y, z); ``is_relative`` makes it relative to the environments' origins.
-        ``root_velocity`` (N, 6) is the velocity of the root's centre of mass in world axes, m/s and rad/s.
-        ``joint_position`` and ``joint_velocity`` (N, J) are in rad and rad/s.
+        ``root_pose`` (N, 7) is a position, m, and a quaternion (w, x, y, z). With ``is_relative``, the position is
+        relative to the environment's origin. ``root_velocity`` (N, 6) is the velocity of the root's centre of mass in
+        world axes, m/s and rad/s. ``joint_position`` and ``joint_velocity`` (N, J) are in rad and rad/s.
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
@@ -230,7 +230,7 @@ class Scene(Kept):
                 sensor.reset(ids)
 
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log entries about limits of sensors that were exceeded in the episodes that end now.
+        """Return log entries, by name, about joints and sensors in the environments whose episodes end now.
 
         ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step; PhysX would have
         clamped the speed. ``<sensor>_...``: entries of each sensor.

@@ -34,13 +34,13 @@ class GeomBoxes:
         low, high = self._spans(origins, directions)
         low, high = low.min(axis=1), high.max(axis=1)
         found = np.ones((len(origins), len(self._low)), dtype=np.bool_)
-        for axis in range(3):  # A loop over x, y, and z is much faster than one comparison of arrays (..., 3).
+        for axis in range(3):  # Looping over x, y, and z is faster than comparing arrays (..., 3) at once.
             found &= low[:, axis, None] <= self._high[:, axis]
             found &= high[:, axis, None] >= self._low[:, axis]
         return found
 
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Clip rays to the bounding box of all geoms; return two corners (n, R, 3) of a box around each clipped ray.
+        """Return the box around each ray's section inside the bounding box of all geoms, as two corners (n, R, 3).
 
         The slab method (Kay and Kajiya 1986) clips each ray to the bounding box of all geoms. A ray that misses the
         bounding box of all geoms gets the lower corner inf and the upper corner -inf.
@@ -67,7 +67,7 @@ class StaticGeoms:
     """Casts rays against a group of static geoms, whose poses and sizes are the same in all simulations.
 
     Rays against static geoms are cast in a model without the robot, because MuJoCo tests each ray against every geom.
-    At the first ray cast, ``alone()`` makes a model that contains only the static geoms, with unchanged names.
+    At the first ray cast, ``alone()`` makes a model of only the static geoms, which keep their names.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:
@@ -77,7 +77,7 @@ class StaticGeoms:
         self._is_same: bool | None = None
 
     def are_still(self, expanded: Collection[str]) -> bool:
-        """Return whether no event has edited the static geoms, so that a model without the robot is enough for rays."""
+        """Return False if an event has edited a static geom, because rays must then be cast in the complete model."""
         if self._is_same is None:
             alone, here = self._make(), np.flatnonzero(self._model.geom_group == self._group)
             self._is_same = len(here) == alone.ngeom
@@ -92,7 +92,7 @@ class StaticGeoms:
         return self._is_same and not any(name in expanded for name in _GEOM_FIELDS)
 
     def ray(self, origins: Floats, directions: Floats) -> Floats:
-        """Return the distances of the first hits, (n, R), of rays (n, R, 3), as ``Engine.ray`` does."""
+        """Cast rays (n, R, 3); return the distance to each ray's first hit, (n, R), like the method ``Engine.ray``."""
         rows, shape = self._nthread * _ROWS, origins.shape[:-1]
         count = int(np.prod(shape))
         together = _TOGETHER if self._reach else max(1, -(-count // rows))
@@ -102,7 +102,7 @@ class StaticGeoms:
         far = np.empty((blocks, together))
         assert self._batch is not None
         for some in (slice(first, min(first + rows, blocks)) for first in range(0, blocks, rows)):
-            # Simulation k of the MuJoCo batch casts the rays in row k of ``starts[some]`` and ``ways[some]``.
+            # Each simulation of the MuJoCo batch casts one row of the rays in ``starts[some]`` and ``ways[some]``.
             ids, shown = np.arange(some.stop - some.start), None
             if self._reach is not None:
                 self._groups[: len(ids)] = np.where(self._reach.reached(starts[some], ways[some]), _SHOWN, _HIDDEN)

@@ -9,16 +9,16 @@ from __future__ import annotations
 import torch
 from torch.utils.weak import WeakTensorKeyDictionary
 
-_EVERY = 16  # The shortest remaining time of all timers is copied from the GPU only every 16 control steps.
+_EVERY = 16  # Copy the timers' shortest remaining time from the GPU only every 16 control steps.
 _SLACK = 1e-3  # s
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
     """Return False if none of the ``timers`` on a GPU can have expired; always return True for timers on a CPU.
 
-    ``timers`` are the remaining times, s, (n,). ``dt`` is the time since the last call of ``may_be_due``, s. An expired
-    timer must restart with at least ``least`` seconds. Code that sets a timer to less than ``least`` seconds must call
-    ``forget`` afterwards.
+    ``timers`` (n,) has the remaining time of each timer, s. ``dt`` is the time since the last call of ``may_be_due``,
+    s. A timer that expires must be restarted with at least ``least`` seconds. Code that sets a timer to less than
+    ``least`` seconds must call ``forget`` afterwards.
     """
     if not timers.is_cuda:
         return True

@@ -139,7 +139,7 @@ class WarpEngine(Engine):
         self._kernels, flat, self._bad_flags = warp_kernels, warp_kernels.flat, wp.from_torch(self._bad)
         numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
         most_kept = dict.fromkeys(_MOTION, _HUGE)
-        # ``_rows`` maps state fields to (array, initial values, limit); a reset keeps values below the limit.
+        # ``_rows`` has (array, initial values, limit) per state field; a reset keeps only numbers x with |x| < limit.
         self._rows = {n: (flat(v), flat(self._initial[n])[0], most_kept.get(n, 0.0)) for n, v in numbers.items()}
         self._still: set[int] = set()
         self._has_sensors = bool((model.sensor_type != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
@@ -182,7 +182,7 @@ class WarpEngine(Engine):
 
     def set_const(self) -> None:
         if not self._fields.own.keys() >= {"body_subtreemass"}:
-            # Discard captured CUDA graphs, because the model fields that ``set_const`` computes get new arrays.
+            # ``expand`` replaces arrays that the captured CUDA graphs use, so discard these graphs.
             self._graphs.forget()
             for name in (n for n in CONSTANTS if (array := getattr(self._m, n, None)) is not None and array.size):
                 self._fields.expand(name)
@@ -211,7 +211,7 @@ class WarpEngine(Engine):
             self._derive()
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        del ids  # Recompute all simulations, because selecting some of them on a GPU takes longer.
+        del ids  # Recompute the outputs of all simulations, because selecting ``ids`` on a GPU takes longer.
         if self._current:
             self._graphs.run("forward", self._derive)
 

@@ -34,7 +34,7 @@ def note_huge(values: wp.array2d(dtype=wp.float32), huge: wp.float32, found: wp.
 def spoil(
     values: wp.array2d(dtype=wp.float32), ids: wp.array(dtype=wp.int64), total: wp.array(dtype=wp.float32)
 ) -> None:
-    """Set ``total[0]`` to NaN if one of the rows ``ids`` of ``values`` contains NaN or inf."""
+    """Set ``total[0]`` to NaN if ``values[ids]`` contains NaN or inf."""
     row, column = wp.tid()
     if not wp.isfinite(values[int(ids[row]), column]):
         total[0] = wp.nan

@@ -25,7 +25,7 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
     try:
         import warp as wp
 
-        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Set wp.config before wp.init reads it.
+        if not getattr(wp, "_src").context.runtime:  # noqa: B009  # Changes of wp.config have no effect after wp.init.
             wp.config.log_level = wp.LOG_WARNING
             # Without gradient kernels, which the simulation does not use, Warp kernels compile in half the time.
             wp.config.enable_backward = False
@@ -115,7 +115,7 @@ class Graphs:
                 yield
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Run ``work``, which must launch the same kernels on the same arrays in each call with the same ``name``."""
+        """Run the function ``work``; calls with equal ``name`` must launch the same kernels on the same arrays."""
         if not self._wanted or self.is_capturing:
             with self.here():
                 work()

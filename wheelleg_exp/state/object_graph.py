@@ -3,7 +3,7 @@
 The checks for unsaved state and the capture of CUDA graphs both use this module to visit objects. The search visits
 every object that a manager term, such as a reward function, can change. Objects of other packages are not visited,
 because such objects can be huge or have side effects. The search visits instances of this package's classes and their
-subclasses, and the containers and closures that hold these instances. A class lists in ``outside_graphs`` the
+subclasses, and the containers and closures that hold these instances. A class attribute ``outside_graphs`` lists the
 attributes that no captured CUDA graph reads or writes.
 """
 
@@ -62,7 +62,7 @@ class Slot:
 
     @property
     def container(self) -> Any:
-        """The dictionary or list that contains the last key of ``path``, or ``MISSING`` if none exists."""
+        """The dictionary or list that holds the slot's value, or ``MISSING`` if a key in ``path`` no longer exists."""
         found: Any = vars(self.owner)
         for key in self.path[:-1]:
             found = entry(found, key)
@@ -72,7 +72,7 @@ class Slot:
 
     @property
     def containers(self) -> Iterator[tuple[Any, Any, Any]]:
-        """The dictionaries and lists that ``path`` passes through, as tuples (parent, key in the parent, container)."""
+        """The nested dictionaries and lists around the slot's value, as tuples (parent, key in parent, container)."""
         parent: Any = vars(self.owner)
         for key in self.path[:-1]:
             yield parent, key, entry(parent, key)
@@ -124,9 +124,9 @@ def parts(name: str, node: Any) -> Iterator[Named]:
 
 
 def attributes_in_graphs(node: Any) -> Iterator[Named]:
-    """Yield those attributes of an object of this package that a captured CUDA graph may read or write."""
+    """Yield an object's attributes that CUDA graphs may read or write, but nothing for an object of another package."""
     kind = type(node)
-    # Skip objects of the package ``state``, because such an object only refers to other objects' state.
+    # Skip instances of classes in the package ``state``, because they only refer to the state of other objects.
     if not is_own(kind) or kind.__module__.startswith(f"{PACKAGE}.state."):
         return
     skipped = {name for base in kind.__mro__ for name in vars(base).get("outside_graphs", ())}

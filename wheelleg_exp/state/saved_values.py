@@ -68,7 +68,7 @@ class Unsaveable(Exception):
 
 @dataclasses.dataclass
 class Reference:
-    """A value that checkpoints do not store, such as a function; ``seen`` is a copy of a mutable value's contents."""
+    """A value that checkpoints do not store, such as a function; ``seen`` copies contents that can change, if any."""
 
     value: Any
     seen: Any = None
@@ -104,7 +104,7 @@ def snapshot(value: Any, path: str) -> Any:
         if isinstance(value, kind):
             return {TAG: tag, "data": snapshot(get(value), path)}
     if all(hasattr(value, name) for name in ("state_dict", "load_state_dict")) and not isinstance(value, type):
-        rest = None  # A network's ``state_dict`` omits the attributes in ``rest``, such as plain numbers.
+        rest = None  # ``rest`` has the network's attributes that ``state_dict`` omits, such as numbers.
         if isinstance(value, torch.nn.Module) and not isinstance(value, torch.jit.ScriptModule):
             rest = {name: snapshot(item, f"{path}.{name}") for name, item in _unlisted(value)}
         data = snapshot(dict(value.state_dict()), path)
@@ -140,7 +140,7 @@ def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
 
 
 def _is_wiring(item: Any) -> bool:
-    """Return whether a network's attribute lists only parameters or weak references, as in ``torch.nn.RNN``."""
+    """Return whether a network's attribute contains only parameters and weak references, as in ``torch.nn.RNN``."""
     parts = item if isinstance(item, list) else [item]
     return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
 
@@ -203,11 +203,12 @@ _KINDS = {name: kind for kind, name in CONTAINERS.items()}
 
 
 def checkpoint_value(item: Any, before: Any, path: str) -> Any:
-    """Convert the result ``item`` of ``snapshot`` to a value that a checkpoint can store.
+    """Convert ``item``, which the function ``snapshot`` returned, to a value that a checkpoint can store.
 
-    ``item`` is the present snapshot of an object's attribute; ``before`` is its snapshot right after the object's
-    construction. Loading a checkpoint writes into a new object that was constructed from the same config. Raise
-    Unsaveable if the attribute has got a new function, random generator, or network since the object's construction.
+    ``item`` is a copy of an attribute's present value; ``before`` is a copy of its value right after the object's
+    construction. Loading a checkpoint sets the attributes of a new object that was constructed from the same config.
+    Raise Unsaveable if a function, random generator, or network was assigned to the attribute after the object's
+    construction.
     """
     if isinstance(item, Reference):
         raise Unsaveable(path, item.value, "which was added or changed after its owner was made")
@@ -234,7 +235,7 @@ def checkpoint_value(item: Any, before: Any, path: str) -> Any:
 
 
 def restored_value(item: Any, present: Any = None) -> Any:
-    """Return the value of a snapshot, if possible by updating the existing object ``present`` in place."""
+    """Convert a snapshot to the original value; if possible, write it to the existing object ``present`` in place."""
     if isinstance(item, torch.Tensor):
         alike = isinstance(present, torch.Tensor) and (present.shape, present.dtype) == (item.shape, item.dtype)
         if not alike or (0 in present.stride() and present.numel() > 1):  # torch cannot write to expanded tensors.

@@ -1,8 +1,8 @@
-"""Save and restore attributes of objects, and settings that changed after the construction of a term.
+"""Save and restore attributes of objects, and settings of manager terms that changed after the terms' construction.
 
 A checkpoint contains all tensor attributes of an object, except those that its class lists in ``settings``. Other
-attributes, such as numbers, are saved only if their value has changed since the object's construction. Restoring a
-checkpoint keeps values that the user has changed in the config since the checkpoint was saved.
+attributes, such as numbers, are saved only if their value has changed since the object's construction. If the user has
+changed a config value after saving a checkpoint, restoring the checkpoint keeps the new value.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
 
 _BASE = "_state_when_made"
-_TENSOR = "a tensor"  # An object's initial state contains this text instead of tensors that every checkpoint saves.
+_TENSOR = "a tensor"  # ``made`` stores this text in place of tensors, because every checkpoint contains them.
 
 
 class _Base(NamedTuple):
@@ -37,7 +37,7 @@ class Stateful:
         return save(self)
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the state that ``state_dict`` of an identically constructed object returned."""
+        """Restore a state that was returned by the ``state_dict`` of an object constructed with the same arguments."""
         restore(self, saved)
 
 
@@ -72,7 +72,7 @@ def save(value: Any) -> dict[str, Any]:
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Restore the state that ``save`` returned; an attribute that ``save`` omitted gets its initial value."""
+    """Restore the object state ``saved``; the attributes that ``saved`` does not contain get their initial values."""
     if _BASE not in vars(value):
         made(value)
     base, held = vars(value)[_BASE].values, attributes(value)
@@ -86,7 +86,7 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
 
 
 def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Copy the settings of ``made_anew`` to ``value``, without changing the state or tensor addresses of ``value``."""
+    """Copy the settings of the object ``made_anew`` to ``value``; keep the state and tensor addresses of ``value``."""
     state = value.state_dict()
     for name, item in attributes(made_anew).items():
         vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
@@ -136,12 +136,12 @@ def stateful(value: Any, key: str) -> Any:
 
 
 class Settings:
-    """The settings of a term from its config, which are saved if a curriculum or other code changes them.
+    """Config values of a manager term, which checkpoints store if a curriculum or other code has changed them.
 
-    Each changed setting, such as a reward weight, is saved together with its value from the config. If the config of a
-    resumed run has another value of a setting, the saved setting is not restored. ``groups`` maps each group's name to
-    a dictionary of setting names and values. ``skip`` lists names of settings that are not saved here, because they are
-    objects that save their own state.
+    Each changed setting, such as a reward weight, is saved together with its value from the config. If the user has
+    changed a setting in the config of a resumed run, the saved setting is not restored. ``groups`` maps each group's
+    name to a dictionary of setting names and values. ``skip`` names the settings to omit, whose values are objects that
+    save their own state.
     """
 
     def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
@@ -153,10 +153,10 @@ class Settings:
             own = {g: {n: v for n, v in values.items() if n not in self._skip} for g, values in self._groups.items()}
             return {group: {name: snapshot(v, name) for name, v in values.items()} for group, values in own.items()}
         except Unsaveable as error:
-            raise ConfigError(f"a checkpoint cannot save a term's setting, which {error}", key=self._key) from error
+            raise ConfigError(f"checkpoints cannot save a term's setting, because it {error}", key=self._key) from error
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the present value and the config's value of each changed setting, by group and name."""
+        """Return each changed setting's present value and its value from the config, by group and name."""
         found: dict[str, Any] = {}
         for group, values in self._snapshots().items():
             for name, now in values.items():
@@ -167,7 +167,7 @@ class Settings:
                     change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
                 except Unsaveable as error:
                     raise ConfigError(
-                        f"a checkpoint cannot save the new value of a term's setting, which {error}", key=self._key
+                        f"checkpoints cannot save a term's changed setting, because it {error}", key=self._key
                     ) from error
                 found.setdefault(group, {})[name] = change
         return found

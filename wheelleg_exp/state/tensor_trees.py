@@ -12,7 +12,7 @@ import torch
 def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
     """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
 
-    Values that are not tensors with one row per environment, (N, ...), come from the state dict ``after``.
+    All values without one row per environment, such as plain numbers, come from the state dict ``after``.
     """
     if isinstance(after, Mapping):
         return {name: merged(before.get(name), item, rows) for name, item in after.items()}

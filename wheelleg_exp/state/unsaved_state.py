@@ -2,8 +2,8 @@
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
 and classes, and values that the term writes to the scene, the managers, or the config. ``Outside`` does not detect
-changes of global variables and of variables in closures. The class ``Memory`` finds tensors that share memory. A
-checkpoint saves each attribute separately, so memory that two tensors share would become separate after a resume.
+changes of global variables and closure variables. The class ``Memory`` finds tensors that share memory. A checkpoint
+saves each attribute separately, so memory that two tensors share would become separate after a resume.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from wheelleg_exp.state.stateful import Stateful, attributes
 
 
 class Outside:
-    """Detects changes that terms make outside their own attributes.
+    """Detects that a manager term changes values outside its own attributes.
 
     ``code`` maps the config key of each manager term to the function or class that implements the term. ``config`` is
     the terms' config. Terms may read but not write the objects in ``owners``: they must not add attributes to them or
-    to this package's objects below them, and must not change their public numbers and texts. Iterators in class
-    attributes or default arguments raise ConfigError, because their position cannot be saved.
+    to this package's objects below them, and must not change their public numbers and texts. An iterator as a class
+    attribute or default argument raises ConfigError, because its position cannot be saved.
     """
 
     def __init__(self, code: Mapping[str, Callable[..., Any]], owners: Mapping[str, Any], config: Any) -> None:
@@ -66,7 +66,7 @@ class Outside:
 
 
 def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
-    """Yield public attributes of ``owner`` that are objects of this package and not of the class ``Stateful``."""
+    """Yield the public attributes of ``owner`` that are objects of this package, except ``Stateful`` objects."""
     for attribute, item in vars(owner).items():
         is_ours = type(item).__module__.partition(".")[0] == PACKAGE and hasattr(item, "__dict__")
         is_public = not attribute.startswith("_") and not _is_default(owner, attribute)
@@ -75,7 +75,7 @@ def _public_parts(name: str, owner: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _is_default(value: Any, name: str) -> bool:
-    """Return whether the class of ``value`` defines a number or string as the default of the attribute ``name``."""
+    """Return whether the class of ``value`` gives the attribute ``name`` a number or string as default."""
     return isinstance(getattr(type(value), name, NOTHING), PLAIN)
 
 
@@ -91,7 +91,7 @@ def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for owner in code.__mro__:
         for name, item in list(vars(owner).items()):
             if hasattr(item, "__get__"):
-                if name != "__init__":  # Default arguments of ``__init__`` become saved attributes.
+                if name != "__init__":  # ``__init__`` copies its default arguments to attributes, which are saved.
                     yield from _defaults(getattr(item, "__func__", item))
             elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
                 yield f"the attribute '{name}' of '{owner.__qualname__}'", item
@@ -142,7 +142,7 @@ class _Place:
 class Memory:
     """Raises ConfigError if two tensors start to share memory during a run.
 
-    Two tensors of one object must never share memory. Tensors of two different objects must either share memory during
+    Two tensors of one object must never share memory. Two tensors of different objects must share memory either during
     the whole run or never.
     """
 
@@ -217,7 +217,7 @@ def _share(a: Any, b: Any) -> bool:
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return a NumPy array with a tensor's memory addresses; do not read its values, because they may be on a GPU."""
+    """Return a NumPy array at a tensor's memory addresses; never read the array, because the tensor can be on a GPU."""
     return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
 
 

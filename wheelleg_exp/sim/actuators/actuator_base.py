@@ -129,12 +129,12 @@ class ActuatorBase(Stateful):
         """Clear the actuator model's memory (such as delayed targets) in the environments ``env_ids``."""
 
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the actuator group's MuJoCo controls (N, joints) of a physics step, for the delayed joint targets."""
+        """Delay the joint targets, and return the resulting MuJoCo controls of the actuator group, (N, joints)."""
         delayed = targets if self.delay is None else self.delay.push(targets)
         return self._of_joints(self.control(delayed, data), "control")
 
     def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the unclipped torques (N, joints), N·m, for the delayed joint targets of the last physics step."""
+        """Compute the unclipped torques, N·m, (N, joints), from the delayed joint targets of the last physics step."""
         torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
         return self._of_joints(torque, "computed_torque")
 

@@ -49,9 +49,9 @@ _RUNS_AT_LOADING = b"__setstate__"
 class Network(Kept):
     """A neural network with constant weights, loaded from a TorchScript file.
 
-    A TorchScript file can contain code that reads and writes files, even while torch loads the file. A TorchScript file
-    that contains operations that neural networks do not need is rejected with ConfigError. ``key`` is the config key of
-    the TorchScript file.
+    A TorchScript file can contain code that reads and writes files, even while torch loads the file. The constructor
+    raises ConfigError for a TorchScript file with operations that neural networks do not need. ``key`` is the config
+    key of the TorchScript file.
     """
 
     def __init__(self, file: Path, key: str, device: torch.device | None) -> None:

@@ -264,7 +264,7 @@ class Camera(LazySensor):
         if kind in DEPTHS:
             depth = clipped(seen["depth"], self._range[1], self._clipping)
             return depth / self._cosines if kind == "distance_to_camera" else depth
-        # The last entry of the segmentation ids is the background's, because a background pixel has the index -1.
+        # A background pixel has the geom index -1, which selects the last segmentation id, that of the background.
         return self._numbers[kind][seen["geom"].long()]
 
     def state_dict(self) -> dict[str, Any]:

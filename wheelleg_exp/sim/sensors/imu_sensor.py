@@ -104,7 +104,7 @@ class Imu(SensorBase):
         self._gravity = torch.nn.functional.normalize(gravity, dim=0)
         self._gravity_bias = torch.tensor([float(part) for part in self._bias], device=device)
         self.data = ImuData(n, device)
-        self._before = torch.zeros(n, 6, device=device)  # the IMU's velocities before the last physics step
+        self._before = torch.zeros(n, 6, device=device)
         self._acc = torch.zeros(n, 6, device=device)
         spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
         self._std, self._low, self._high, self._walk = torch.tensor(spread, device=device).unbind(dim=1)

@@ -1,4 +1,4 @@
-"""Base classes of sensors that measure after each physics step, and of sensors that measure when code reads data."""
+"""Base classes of sensors: ``SensorBase`` measures after physics steps, ``LazySensor`` when code reads ``data``."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SensorBase(Kept):
 
     @property
     def cfg(self) -> SensorBase:
-        """Return ``self``, because terms written for Isaac Lab read a sensor's settings from ``sensor.cfg``."""
+        """Return the sensor itself, because Isaac Lab's terms read a sensor's settings from ``sensor.cfg``."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
@@ -95,7 +95,7 @@ class SensorBase(Kept):
 
     @property
     def measures_at_reset(self) -> bool:
-        """Whether the method ``refresh`` takes new measurements after a reset."""
+        """Whether the sensor's method ``refresh`` measures again after each reset."""
         return True
 
     def refresh(self, env_ids: torch.Tensor) -> None:
@@ -107,7 +107,7 @@ class SensorBase(Kept):
             self._is_new.index_fill_(0, new, False)
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log entries, by name, about limits of the sensor that were exceeded in the episodes that end now."""
+        """Return log entries, by name, such as the share of ending episodes that exceeded a limit of the sensor."""
         del env_ids
         return {}
 
@@ -129,7 +129,7 @@ class SensorBase(Kept):
 
 
 def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
-    """Raise ConfigError if a subclass's method did not call the overridden method, which sets ``attribute``."""
+    """Raise ConfigError if an overriding method does not call the base method, which sets ``attribute``."""
     if not hasattr(sensor, attribute):
         method = call.partition("(")[0]
         message = f"'{dotted_name(sensor)}.{method}' does not call the base class's method"
@@ -140,8 +140,8 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 class LazySensor(SensorBase):
     """A sensor whose method ``sense`` takes a measurement when code reads ``data``, at most once per physics state.
 
-    If ``update_period`` is not 0, a lazy sensor measures at each reset and after each period, even without reads. A
-    lazy sensor's measurements do not depend on how often code reads ``data``.
+    If ``update_period`` is not 0, a lazy sensor measures at resets and once per period, even if no code reads ``data``.
+    A lazy sensor's measurements do not depend on how often code reads ``data``.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.
@@ -218,10 +218,10 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
 
 
 def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
-    """Make a property that reads ``of_root`` of the robot's data for the root link, else ``of_bodies``."""
+    """Make a property that reads ``robot.data``: ``of_root`` for the root link, ``of_bodies`` for other links."""
 
     def get(self: Mount) -> torch.Tensor:
-        # The root link's pose and velocity are cheaper to read, because they need no forward kinematics.
+        # Reading ``of_root`` is cheaper, because only ``of_bodies`` needs forward kinematics.
         data = self._robot.data
         return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
 

@@ -62,7 +62,7 @@ class HeightMap:
         cell = within.floor().clamp(min=0).minimum(cells - 1)
         u, v = (within - cell).clamp(0, 1).unbind(dim=-1)
         slanted = self._slanted[number]
-        along_x = cells[..., 1] + slanted  # ``along_x`` is the index step between grid neighbours along x.
+        along_x = cells[..., 1] + slanted  # In ``_heights``, grid neighbours along x are ``along_x`` entries apart.
         first = self._starts[number] + cell[..., 0].long() * along_x + cell[..., 1].long()
         a, b = self._heights[first], self._heights[first + slanted * along_x]
         c, d = self._heights[first + slanted], self._heights[first + slanted * (along_x + 1)]
@@ -98,7 +98,8 @@ class Relief:
     """A generated ground, whose coordinates are relative to the ground's centre.
 
     ``tiles`` lists the tiles row by row, ``kinds`` (rows, cols) are the indices of the tiles' sub-terrains, and
-    ``origins`` (rows, cols, 3) are the tiles' origins, m. ``patches`` has P flat patches per tile, (rows, cols, P, 3).
+    ``origins`` (rows, cols, 3) are the tiles' origins, m. ``patches`` maps each name to the positions of P flat patches
+    per tile, m, (rows, cols, P, 3).
     """
 
     tiles: Sequence[Tile]
@@ -117,7 +118,7 @@ def make_relief(layout: Layout) -> Relief:
     rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
     cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
     origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # Use a tile's origin in place of flat patches that the tile's sub-terrain does not define.
+    # If a tile's sub-terrain lacks flat patches that another sub-terrain defines, use the tile's origin instead.
     counts: dict[str, int] = {}
     for kind_name, own in layout.sub_terrains.items():
         for patch, wanted in own.flat_patches.items():

@@ -22,8 +22,8 @@ _ROUNDS = 1000
 class FlatPatches(Kept):
     """Flat patches of a tile: random positions are drawn until enough of them have level ground around them.
 
-    A flat patch has the ground's height at its centre. The ranges of a flat patch's x, y, and z are relative to the
-    tile's origin, and are clipped to the tile.
+    The z coordinate of a flat patch is the ground's height at the patch's centre. The ranges of a flat patch's x, y,
+    and z are relative to the tile's origin, and are clipped to the tile.
 
     Args:
         num_patches: number of patches per tile, P.
@@ -223,8 +223,7 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The lattice of random heights starts at the first grid point inside the tile's flat rim, because heights between
-    lattice points vary less.
+    The first lattice point is a grid point, because interpolated heights vary less than the random heights themselves.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -235,13 +234,13 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
-    """Return each grid point's lattice interval, its place (0 to 1) in this interval, and the number of intervals."""
+    """Return the grid points' lattice intervals, their positions (0 to 1) in the intervals, and the interval count."""
     inside = axis[np.abs(axis) <= half + EDGE]
     own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
     first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
     count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
     place = np.clip((axis - first) / (spacing or own), 0, count)
-    # Round places that are almost integers, so that grid points on lattice points get exactly the random heights.
+    # Round positions close to integers, so that a grid point at a lattice point gets exactly the random height.
     place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
     interval = np.minimum(place.astype(int), count - 1)
     return interval, place - interval, count

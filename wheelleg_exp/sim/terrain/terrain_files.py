@@ -79,7 +79,7 @@ class _FromFile(TerrainBase):
                 self.flat_patches[name] = places.expand(1, 1, -1, -1)
 
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
-        """Return the origins (N, 3), m; environment i gets position i % len(start) from the list ``start``."""
+        """Return the environments' origins (N, 3), m; environment i starts at ``start[i % len(start)]``."""
         del spacing
         start = torch.tensor(self._start, device=device)
         xy = start[torch.arange(num_envs, device=device) % len(start)]

@@ -36,9 +36,9 @@ def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike,
 def add_tile(
     spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
 ) -> None:
-    """Add a terrain tile as a height field or boxes; both extend a tenth of the tile's edge below its lowest height.
+    """Add a terrain tile as a height field or boxes, down to a tenth of the tile's edge below the tile's lowest height.
 
-    ``name`` is the name of the tile's geom or the prefix of its boxes' names; ``centre`` and ``size`` are in m.
+    If the tile has several boxes, their names are ``name/0``, ``name/1``, and so on; ``centre`` and ``size`` are in m.
     """
     heights = tile.heights.astype(float)
     corner = np.array(centre) - np.array(size) / 2
@@ -47,7 +47,7 @@ def add_tile(
         add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
     elif tile.boxes:
         cell = np.array(size) / tile.cells
-        # Compute boxes side by side and, alternatively, stacked boxes; add the alternative with fewer boxes.
+        # Represent the heights by boxes side by side or by nested boxes, whichever are fewer.
         levels = np.unique(heights)
         apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
         nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
