@@ -34,8 +34,8 @@ _CODE = ("commit", "tree", "dirty", "patch_sha256")
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
     """Load the two training inputs that ``wheelleg diff`` compares.
 
-    An input names a run (path, id, or ``latest``) or a task, with optional overrides, or consists of overrides only. If
-    only one input is a run, the run is compared with this machine's source code, package versions, and hardware.
+    An input names a run (path, id, or ``latest``) or a task, lists overrides, or does both. If only one input is a run,
+    the run is compared with this machine's source code, package versions, and hardware.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -46,7 +46,7 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
 
 
 def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
-    """Load one input of ``wheelleg diff``; also return its composed config, or None for a run."""
+    """Load one input of ``wheelleg diff``; for a task or overrides, also return the composed config."""
     words = split_words(text)
     first, rest = (words[0], words[1:]) if words else ("", [])
     if words and (Path(first) / MANIFEST_NAME).is_file():
@@ -94,7 +94,7 @@ def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
 
 
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
-    """Return the YAML line or the override that set or deleted a config key; None if neither is known."""
+    """Return where a config key was set or deleted: a YAML line, an override, or None (unknown)."""
     places, keys = composed.provenance, split_path(path)
     lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
     if path in lists:
@@ -135,7 +135,7 @@ def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
     try:
         recorded = recorded_config(run, manifest.data.get("config_variables") or {})
     except RunDirectoryError:
-        return sections  # Ignore the run's saved config if OmegaConf cannot resolve its interpolations.
+        return sections  # OmegaConf cannot resolve an interpolation in the run's saved config, so ignore this config.
     return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
 
 

@@ -64,7 +64,7 @@ _ALTERNATIVES = {
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Any]:
-    """Return the config sections ``env``, ``agent``, ``protocol`` and ``seed`` of an evaluation, after its overrides.
+    """Apply an evaluation's overrides, and return its config sections ``env``, ``agent``, ``protocol`` and ``seed``.
 
     Overrides of ``protocol`` and ``seed`` change the evaluation; all other overrides change the run's config.
     """
@@ -92,7 +92,7 @@ def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
 
 
 def run_overrides(overrides: Sequence[str]) -> list[str]:
-    """Return those overrides of an evaluation that change the parameters of the run, not the evaluation protocol."""
+    """Return an evaluation's overrides without those of ``protocol`` and ``seed``, such as ``seed=3``."""
     return [text for text in overrides if not _is_of_protocol(text)]
 
 
@@ -149,8 +149,8 @@ def evaluate_reference(
 ) -> Evaluated:
     """Evaluate an LQR controller with the robot and the task of a run, and save the result in the run directory.
 
-    The docstring of ``evaluate_run`` explains the arguments. ConfigError means that the reference controller (LQR)
-    cannot balance the robot.
+    The arguments are those of ``evaluate_run``, without ``checkpoint``. ConfigError means that the reference controller
+    (LQR) cannot balance the robot.
     """
     tree = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
@@ -251,10 +251,10 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
-    """Return the folder of the newest saved evaluation of a checkpoint by a protocol; None without an evaluation.
+    """Return the folder of a checkpoint's newest evaluation with a given protocol, or None if none was saved.
 
-    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the config that ``evaluation_settings`` returned. Two
-    evaluation protocols are the same if all their settings are the same, even if their overrides differ.
+    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the config that ``evaluation_settings`` returned. Evaluation
+    protocols are compared by their settings, not by their overrides.
     """
     asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []

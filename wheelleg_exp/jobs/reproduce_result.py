@@ -59,8 +59,8 @@ def reproduce(
 ) -> Reproduction:
     """Repeat the trainings and evaluations of a saved result, and compare every number with the recorded number.
 
-    ``trained`` is a cache of finished runs by training recipe, to which ``reproduce`` adds new runs. ``say`` receives
-    texts about the progress of the reproduction.
+    ``trained`` maps training recipes to finished runs; ``reproduce`` adds its runs, so that no recipe is trained twice.
+    ``say`` receives texts about the progress of the reproduction.
     """
     here = [{"versions": versions(), "hardware": hardware()}]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))
@@ -95,7 +95,7 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
         if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
         else:
-            yield from _leaf_differences(was, is_now, name)  # Although the values are equal, the units can differ.
+            yield from _leaf_differences(was, is_now, name)  # Equal metric values can still have different units.
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
@@ -127,7 +127,7 @@ def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
 def _machine_differences(
     was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
 ) -> list[FactDifference]:
-    """Return machine differences that may change results; with ``early``, only those known before torch is imported."""
+    """Return machine differences that may change results; ``early`` omits those that only an imported torch reports."""
     unknown = UNKNOWN_BEFORE_TORCH if early else ()
     sides = zip(was, now, strict=True)
     facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]

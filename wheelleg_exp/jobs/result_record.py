@@ -92,7 +92,7 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 
 def _outcome(difference: Mapping[str, Any], count: int) -> str:
-    """Return a comparison's outcome; a footnote mark means that other training seeds may give another outcome."""
+    """Return a comparison's outcome, with a footnote mark if other training seeds may give another outcome."""
     outcome = str(difference.get("outcome", ""))
     low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
@@ -135,7 +135,7 @@ _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# To train a run again, its overrides of ``run``, ``init_from``, and ``recording`` are ignored.
+# A reproduced training ignores the original run's overrides of ``run``, ``init_from``, and ``recording``.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -144,8 +144,8 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    ``NAME.md`` and ``NAME.json`` replace earlier files with these names. Manifests in the folder ``NAME`` from an
-    earlier result are removed if the new result lacks their runs. ``words`` are the Hydra overrides of the evaluations.
+    ``NAME.md`` and ``NAME.json`` replace earlier files with these names. Manifests of an earlier result ``NAME`` are
+    removed if their runs are not in the new result. ``words`` are the Hydra overrides of the evaluations.
     """
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -297,7 +297,7 @@ def _changed_machine(entry: Mapping[str, Any]) -> bool:
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:
-    """Raise RunDirectoryError if the given runs differ in more settings than their seeds."""
+    """Raise RunDirectoryError if any setting except the seed differs between the given runs."""
     first, *others = (_method(recipe(run)) for run in runs)
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
@@ -331,7 +331,7 @@ def parameters(run: RunDirectory) -> str:
 
 
 def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
-    """Return the seed, the scenario hashes, and the metrics that a repeated evaluation must give again exactly."""
+    """Return an evaluation's seed, scenario hashes, and metrics, which a repetition must reproduce exactly."""
     content = made.content
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 

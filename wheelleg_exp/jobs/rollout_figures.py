@@ -33,7 +33,7 @@ class StandFigures:
     pitch_rms_deg: float  # against upright
     pitch_mean_deg: float
     mean_return: float | None
-    ended_by: dict[str, int]  # for each termination term (or several at once), the number of episodes that it ended
+    ended_by: dict[str, int]  # maps each termination term (or combination of terms) to its number of ended episodes
     non_finite: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -143,7 +143,7 @@ class ContactMeter:
             self._count += len(force)
 
     def figures(self) -> list[ContactFigures]:
-        """Return the contact forces of each link of the contact sensor, or an empty list if no robot was standing."""
+        """Return contact force statistics of each link of the sensor, or an empty list if no robot ever stood."""
         count = self._count
         if count == 0:
             return []
@@ -165,7 +165,7 @@ def _rms(values: torch.Tensor) -> float:
 
 
 SATURATION = 0.99  # A motor torque of at least 99 % of its effort limit counts as saturated.
-DEADBAND = 0.001  # ``sign_changes_per_s`` ignores a motor's torque if it is at most 0.1 % of the effort limit.
+DEADBAND = 0.001  # ``sign_changes_per_s`` ignores torques of at most 0.1 % of the motor's effort limit.
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class MotionFigures:
     action_rate_per_s: float | None
     power_net_w: float | None
     torque_rms_nm: dict[str, float]  # by actuator group
-    at_limit: dict[str, float]  # for each actuator group, the share of physics steps at the torque limit
+    at_limit: dict[str, float]  # maps each actuator group to its share of physics steps with saturated torque
     sign_changes_per_s: dict[str, float]  # by actuator group
 
     def as_dict(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ _WAIT_S, _PATIENCE_S = 0.2, 10.0
 
 
 class Job(Protocol):
-    """A job that was started. ``ended`` is the job's last event, or None while the job runs or if the job died."""
+    """A job that was started. ``ended`` is the job's last event, and None until the job sends this event."""
 
     ended: Event | None
 
@@ -48,7 +48,7 @@ class Job(Protocol):
 class Launcher(Protocol):
     """Starts the jobs of a sweep, and receives the events that the jobs send.
 
-    ``queued`` means that jobs wait in a queue; a job sends the event ``began`` when its process starts.
+    If ``queued`` is true, jobs wait in a queue, and each job sends the event ``began`` when its process starts.
     """
 
     queued: bool
@@ -71,7 +71,7 @@ class LocalLauncher:
     def start(self, number: int, request: JobRequest) -> Job:
         """Start the child process that runs a job."""
         del number
-        # C libraries may have changed environment variables of this process outside ``os.environ``.
+        # Pass ``os.environ``, because C libraries may have changed the environment variables of this process.
         return Child(self._program, request.line(), os.environ)
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
@@ -155,7 +155,7 @@ class SweepRunner:
                 self._end(lambda job: job.interrupt(), _PATIENCE_S)
                 self._end(lambda job: job.kill(), _PATIENCE_S)
             finally:
-                for job in self._running:  # If the user's third Ctrl-C ended the wait for the jobs, kill the jobs.
+                for job in self._running:  # A third Ctrl-C interrupts the waits above, so kill the remaining jobs.
                     job.kill()
                     job.close()
 
@@ -183,7 +183,7 @@ class SweepRunner:
             self._display.note(job, event["text"])
 
     def _reap(self) -> None:
-        """Record the status of ended jobs in the sweep's index; a job that never left its queue stays ``waiting``."""
+        """Record the status of ended jobs in the sweep's index; a stopped job that never started stays ``waiting``."""
         for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
             entry = self._running.pop(job)

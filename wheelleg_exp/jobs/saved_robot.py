@@ -102,7 +102,7 @@ def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
-    """Raise ConfigError with the message ``rule`` if overrides replaced the run's robot."""
+    """Raise ConfigError if overrides replaced the run's robot; ``rule`` is the error message."""
     for key in ("asset", "base"):
         if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
             expected = "the run's own value; another robot needs a new run"

@@ -50,7 +50,7 @@ class QueueWorker:
             raise RuntimeError("the job has already run, and a job runs only once")
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
-        path = request["path"] if same else sys.path  # The submitting machine may have other Python folders.
+        path = request["path"] if same else sys.path  # The submitting machine may import from other folders.
         line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
         self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
         with ThreadPoolExecutor(1) as reader:  # Signals interrupt the main thread, so a second thread reads events.
@@ -107,7 +107,7 @@ class Ticket(Protocol):
         """Remove a waiting job from the queue; end a running job."""
 
     def why(self) -> str:
-        """Return the queue's explanation if the job ended without its event ``ended``."""
+        """Return the queue's reason why a job died before it sent the event ``ended``."""
 
 
 class QueuedJob:
@@ -208,7 +208,7 @@ class Queue:
         yield from found
 
 
-# In submitit, ``_SHARED_SETTINGS`` have no prefix such as ``slurm_``, because all executors accept them.
+# All executors of submitit accept ``_SHARED_SETTINGS``, so these settings have no prefix such as ``slurm_``.
 _SHARED_SETTINGS = (
     *("timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node"),
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
@@ -269,7 +269,7 @@ class _SubmititTicket:
         return f"was ended from outside, as submitit's job {self._job.job_id}{state}{last}"
 
 
-_OBJECT_STORE = 78_643_200  # ``_OBJECT_STORE`` is the minimum size of Ray's object store, bytes.
+_OBJECT_STORE = 78_643_200  # ``_OBJECT_STORE`` is the smallest object store that Ray allows, bytes.
 _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
 
 
@@ -282,8 +282,8 @@ class RayLauncher(Queue):
         super().__init__(folder)
         chosen = settings["ray"]
         init = {**_INIT, **chosen["init"]}
-        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:  # Without an address, Ray starts a cluster.
-            init.setdefault("object_store_memory", _OBJECT_STORE)
+        if init.get("address") is None and "RAY_ADDRESS" not in os.environ:
+            init.setdefault("object_store_memory", _OBJECT_STORE)  # Ray starts a new cluster if no address is given.
         try:
             if not ray.is_initialized():
                 ray.init(**init)

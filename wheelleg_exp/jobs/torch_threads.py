@@ -20,7 +20,7 @@ from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 # The names of MKL's code branches, ordered by their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
-_in_time: list[bool] = []  # False if torch was imported before ``prepare_threads`` set environment variables.
+_in_time: list[bool] = []  # An entry is False if environment variables were set too late, after torch was imported.
 
 _STRICT = 0x10000
 _EVERYTHING = -1
@@ -62,7 +62,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the changed manifest entries if bfloat16 matrix products depend on the thread count, else {}.
+    """Return manifest entries that say why bfloat16 matrix products depend on the thread count, or {} if they do not.
 
     ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
     """
@@ -130,7 +130,7 @@ def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
 
 def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
     """Return a warning about network activations whose rounding depends on the number of threads."""
-    # Rounding differs at the end of a thread's share of an array if the share is not a multiple of 32 numbers.
+    # Rounding depends on the thread count if a thread computes a number of values that is not a multiple of 32.
     if samples is None or str(agent["device"]) != "cpu":
         return []
     batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}

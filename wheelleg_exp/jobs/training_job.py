@@ -17,7 +17,7 @@ from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.machine import own_environ
 from wheelleg_exp.stop_request import StopRequest
 
-# The child process has the import path of the parent process, independent of the working directory.
+# The child process imports modules from the same folders as the parent process (``sys.path``).
 _BOOT = (
     "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
     "from wheelleg_exp.jobs.training_job import main; sys.exit(main())"

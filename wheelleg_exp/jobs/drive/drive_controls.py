@@ -30,7 +30,7 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The config key of the axis's command range, such as ``env.commands.<term>.ranges.lin_vel_x``."""
+        """The config key of this command's range, such as ``env.commands.<term>.ranges.lin_vel_x``."""
         return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
@@ -64,7 +64,7 @@ def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
 class CommandHold:
     """Keeps an environment's commands at given values, even when the environment resets or resamples its commands.
 
-    ``CommandHold`` shrinks each command range to a single value, so that resampling a command gives this value.
+    A command of 0.5, for example, gets the range [0.5, 0.5], so that resampling gives 0.5 again.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:

@@ -103,7 +103,7 @@ def _bar(left: float, width: float, colour: str) -> str:
     )
 
 
-# JavaScript key codes, such as ``KeyW``, name positions of keys, independent of the keyboard layout.
+# A JavaScript key code such as ``KeyW`` names a key's position, whatever letter the keyboard layout assigns.
 KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
     **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
@@ -127,9 +127,9 @@ _MAX_MESSAGE = 1024  # bytes of a message
 class InputServer:
     """Receives key and gamepad input from web pages in a browser on this machine.
 
-    When a web page disconnects, the server releases the command axes that the disconnected page controlled. ``origins``
-    are the web origins that the server accepts, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of
-    the robot when the push key is pressed, m/s.
+    When a web page disconnects, the commands that the page has set return to their neutral values. ``origins`` are the
+    web origins that the server accepts, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of the robot
+    when the push key is pressed, m/s.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
@@ -200,7 +200,7 @@ class InputServer:
             self.press(said["press"])
 
 
-# ``_CAMERA_FROM * _HEIGHTS_AWAY * base_height`` is the camera's initial position in the world frame.
+# The camera starts at the position ``_CAMERA_FROM * _HEIGHTS_AWAY * base_height`` in the world frame.
 _CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 

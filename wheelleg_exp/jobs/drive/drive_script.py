@@ -32,7 +32,7 @@ class Entry:
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
-    stops: bool = False  # If ``stops`` is true, omitted commands become 0, or the middle of the range if 0 is invalid.
+    stops: bool = False  # With ``stops``, commands that the entry omits become 0, or the middle of a range without 0.
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class _Place:
 def _entry(
     item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
 ) -> tuple[Entry, float]:
-    """Read one entry of a drive script; its default start time is ``end``. Return the entry and its end time."""
+    """Parse one entry of a drive script; return the entry and the simulated time (s) at which it ends."""
     for key in item:
         if key not in (*_TIMES, *_ACTIONS, *axes):
             names = [*_TIMES, *axes, *_ACTIONS]

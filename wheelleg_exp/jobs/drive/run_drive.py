@@ -37,7 +37,7 @@ _DISTURBANCES = ("interval", "step")  # Event terms of mode ``interval`` or ``st
 
 
 def scenes() -> list[str]:
-    """Return the names of the available grounds: ``own`` (the training's ground) and all scene configs."""
+    """Return the name ``own`` (the training's ground) and the names of all scene configs."""
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
 
 
@@ -93,7 +93,7 @@ class RealTimePacer:
             self._sleep(left)
 
     def is_frame_due(self) -> bool:
-        """Return whether it is time to draw the robot again; if so, schedule the next drawing."""
+        """Return True if the view must draw the robot now, and schedule the next drawing."""
         now = self._clock()
         if now < self._next_frame:
             return False
@@ -155,7 +155,7 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 def _drive_one(
     request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
-    """Simulate a driven robot; return its metrics, and a user's choice of a new checkpoint or ground, or None."""
+    """Simulate a driven robot; if the user chose a new checkpoint or ground, also return this choice."""
     scene = pick.scene or OWN_GROUND
     # If the name of the scene is unknown, raise ConfigError.
     known = scenes()
@@ -215,7 +215,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Simulate until the drive ends or the user chooses another checkpoint or ground; return this choice."""
+        """Simulate the driven robot; if the user chooses another checkpoint or ground, stop and return this choice."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):

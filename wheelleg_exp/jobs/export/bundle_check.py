@@ -40,7 +40,7 @@ def recorded_episodes(
 ) -> dict[str, np.ndarray]:
     """Record a policy's observations and actions in the first environment, as float32, one row per control step.
 
-    ``policy`` computes the actions that control the robot; ``trained`` computes the same actions in float32, as in
+    ``policy`` controls the robot with actions computed in float64; ``trained`` computes them in float32, as in
     training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width);
     ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions,
     velocities, efforts of all joints.
@@ -67,7 +67,7 @@ def recorded_episodes(
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return the first physics step's joint targets (N, 3, J) for ``actions``; restore the action manager's state."""
+    """Return the joint targets (N, 3, J) that ``actions`` would give in the next physics step."""
     # The training does not clip joint targets, but the exported ``runner.py`` clips them to the joint limits.
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
@@ -80,7 +80,7 @@ def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
     return found
 
 
-# A tolerance limits |value - recorded| / max(1, |recorded|); float32 needs a larger tolerance than float64.
+# Outputs of policy files must satisfy |output - recorded| / max(1, |recorded|) <= TOLERANCE (or TOLERANCE_FLOAT32).
 TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
 _FLOAT64 = ("observations", "actions", "targets", "c_double")
 _COMPILERS = ("cc", "gcc", "clang")

@@ -77,7 +77,7 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
     fields["inertia"] = matrix.diagonal() - model.dof_armature
     found |= {name: values[dofs].tolist() for name, values in fields.items()}
-    # ``effective`` is each joint's ratio of torque to acceleration if all other joints can move freely.
+    # ``effective`` is the inertia that a joint's torque accelerates if all other joints can move freely.
     effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]
     kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
@@ -224,7 +224,7 @@ def specification(
 ) -> dict[str, Any]:
     """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
-    In ``policy.json``, lists of joint values follow the order of ``joint_names``; a limit of null means unlimited.
+    Lists such as ``stiffness`` have one value per joint, in the order of ``joint_names``; a null limit means no limit.
     ``policy.json`` uses Isaac Lab's names where possible. ``env`` must have one robot and no events, because events can
     change the robot. ``ranges`` contains the range [low, high] of each command component at the end of training.
     """

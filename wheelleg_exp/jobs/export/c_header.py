@@ -1,8 +1,8 @@
 """Write ``policy.h``: the policy as one C99 header, from sensor readings to joint targets.
 
 The header is generated from ``policy.json`` and the network's arrays: fixed numbers become constants, and memory
-becomes a struct. ``policy.h`` uses three C pointers: ``r`` to sensor readings, ``s`` to the policy's state, ``v`` to an
-observation term.
+becomes a struct. In the C code, ``r`` points to sensor readings, ``s`` to the policy's state, and ``v`` to the values
+of an observation term.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
-    """Yield the C struct members that store the history and the modifier states of an observation term."""
+    """Yield C declarations of the arrays that store an observation term's history and modifier states."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"
@@ -130,7 +130,7 @@ def _read(term: Spec) -> Iterator[str]:
 
 
 def _modified(name: str, modifier: Spec) -> str:
-    """Return the C line that applies an observation modifier to the value ``v[i]``."""
+    """Return C code that applies an observation modifier to ``v[i]``, such as ``v[i] *= 2.0f;``."""
     kind = modifier["kind"]
     if kind == "scale":
         return f"v[i] *= {number(modifier['multiplier'])};"

@@ -1,8 +1,8 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
 The exported folder is written atomically, after each policy file has given the same actions as the trained policy in
-simulation. The exported environment has no noise, delays, or events, because a real robot has noise, delays, and
-disturbances. The metadata of ``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
+simulation. The exported ``runner.py`` adds no noise or delays, because a real robot has its own. The metadata of
+``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     """Return an ONNX model with the content of ``policy.json`` as metadata.
 
     In the ONNX metadata, a list such as ``joint_names`` is one string of comma-separated values, as in mjlab's exports.
-    ``action_scale`` and ``action_offset`` (ordered like ``action_joint_names``) exist if every action term has a scale
-    and an offset.
+    ``action_scale`` and ``action_offset`` follow the order of ``action_joint_names``, and are omitted if an action term
+    lacks them.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
@@ -179,7 +179,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
 
 
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
-    """Write all files of the bundle; return the values of ``Exported.differences`` and ``Exported.notes``."""
+    """Write all files of the exported folder; return the fields ``differences`` and ``notes`` of ``Exported``."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)
@@ -224,7 +224,7 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
 
 
 def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the range of each command at the end of training, because a curriculum may have widened the ranges."""
+    """Return the command ranges at the end of training, which a curriculum may have widened."""
     found = {}
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})

@@ -45,7 +45,7 @@ READINGS = {
     "joint_effort": Reading("N·m", "torques of the drives, in the order of joint_names", obs.joint_effort_commanded),
 }
 
-# Each quantity that an IMU measures has a unit, a meaning, and an attribute of the simulated IMU's data object.
+# ``QUANTITIES`` maps each IMU quantity to its unit, its meaning, and its attribute in the simulated IMU's data.
 QUANTITIES = {
     "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
     "lin_acc": ("m/s^2", "acceleration in its own axes; at rest it reads gravity upwards", "lin_acc_b"),

@@ -27,7 +27,7 @@ _NAME = re.compile(r"[\w-]+")  # A pipeline phase's name is a part of config key
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """The config of a training pipeline and its phases; ``composed`` is None if a saved config was read."""
+    """The config of a training pipeline and its phases; ``composed`` is None if the config was read from a file."""
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
@@ -58,7 +58,7 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return a phase's training overrides, without ``init_from`` and ``agent.max_iterations``, which the pipeline adds.
+    """Return a phase's training overrides; the pipeline later adds ``init_from`` and ``agent.max_iterations``.
 
     ``overrides`` are the overrides of the command line, which apply to all phases of the pipeline.
     """
@@ -70,8 +70,8 @@ def compose_phases(
 ) -> dict[str, Composed]:
     """Check the config of every phase, and check that each phase can start with the policy of the phase before it.
 
-    ConfigError lists the mistakes in the configs of all phases, each with the phase's name. If the same config mistake
-    occurs in all training phases of a pipeline, ConfigError lists the mistake only once.
+    ConfigError lists the mistakes in the configs of all phases, each with the phase's name. A mistake that a command
+    line override causes in every phase is listed only once.
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
@@ -85,7 +85,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
             with found[name].placing(), initial_file(found[name].config, lambda _: None):
-                pass  # The context manager checks the checkpoint that initializes the phase's networks.
+                pass  # ``initial_file`` checks the checkpoint from which the phase's networks start.
         except ConfigError as error:
             errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
         if phase.gate is not None:
@@ -147,14 +147,14 @@ def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
         return _at_key(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _at_key(error, f"{key}.overrides", f", in '{blamed}'")
-    # If several overrides together cause the error, name the whole list ``gate.overrides`` as the wrong key.
+    # If no single override causes the error, report ``gate.overrides`` (or ``gate.protocol``) as the wrong key.
     if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):
         return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", "")
     return error
 
 
 def _at_key(error: ConfigError, key: str, blamed: str | None = None) -> ConfigError:
-    """Return ``error`` with a new key; if ``blamed`` is given, the message keeps the old key."""
+    """Replace an error's key; unless ``blamed`` is None, name the old key in the message."""
     message = error.message if blamed is None else f"{error.key}: {error.message}{blamed}"
     return ConfigError(message, key=key, expected=error.expected, nearest=error.nearest)
 

@@ -53,7 +53,7 @@ _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
     """Raise ConfigError if a phase's evaluation does not compute a metric for which the phase has a bound."""
-    # A short evaluation with NaN actions, which end each episode after one step, gives the names of all metrics.
+    # A short evaluation gives the names of all metrics: NaN actions end its episodes after one step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -84,7 +84,7 @@ def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> li
     whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
-        # The user's evaluation settings are checked here, because the loop below shortens each test to one episode.
+        # Check the user's evaluation settings before the loop below shortens each test to one episode.
         read_section(Protocol, protocol, "protocol")
     protocol["resamples"] = 1
     for test in _TESTS:
@@ -167,7 +167,7 @@ class PipelineRunner:
         if not every:
             return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        # An evaluation may be overdue, because a resume can reduce ``every``, the evaluation interval in iterations.
+        # A resume can reduce the evaluation interval ``every`` (iterations), so that an evaluation is already overdue.
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 

@@ -96,8 +96,8 @@ class Replayed:
     whole: bool  # True if the replay repeated all iterations of the original run.
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # ``composed["equal"]`` is true if Hydra composes the run's overrides to the same config again.
-    asset: Event  # ``asset["note"]`` explains why the replay used the saved robot instead of a new conversion.
+    composed: Event  # ``composed["equal"]`` is true if the run's overrides still give the config that the run saved.
+    asset: Event  # ``asset["note"]`` explains why the replay did not convert the robot again.
     notes: list[str]
     kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison
@@ -242,7 +242,7 @@ def _report(display: Display, source: RestoredSource, machine: list[FactDifferen
 
 @contextmanager
 def _workplace(keep: bool) -> Iterator[Path]:
-    """Yield a new folder, and remove it on exit; ``keep`` preserves the restored source code of a successful replay."""
+    """Yield a temporary folder; if ``keep`` is true, a successful replay leaves the restored source code there."""
     with for_people(Path(tempfile.gettempdir())):
         folder = Path(tempfile.mkdtemp(prefix="wheelleg-replay-")).resolve()
     kept = False

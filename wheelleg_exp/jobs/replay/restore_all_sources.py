@@ -37,12 +37,12 @@ class RestoredTree:
 class RestoredSource:
     """All source folders that were restored for a replay of a run."""
 
-    trees: list[RestoredTree] = field(default_factory=list)  # The first folder contains the package wheelleg_exp.
+    trees: list[RestoredTree] = field(default_factory=list)  # ``trees[0]`` is the source folder of wheelleg_exp.
     places: dict[str, Path] = field(default_factory=dict)  # maps each package name to the package's parent folder
     config_dirs: list[Path] = field(default_factory=list)
     projects: list[Path] = field(default_factory=list)
-    source_roots: list[Path] = field(default_factory=list)  # source folders of the run, without that of wheelleg_exp
-    moved: dict[str, Path] = field(default_factory=dict)  # ``moved`` maps recorded source folders to restored copies.
+    source_roots: list[Path] = field(default_factory=list)  # the run's source folders, except that of wheelleg_exp
+    moved: dict[str, Path] = field(default_factory=dict)  # maps each source folder of the run to its restored copy
     notes: list[str] = field(default_factory=list)
 
     def now(self, path: str) -> Path:
@@ -59,7 +59,7 @@ class RestoredSource:
 
 
 def describe_code(run: RunDirectory) -> str:
-    """Return a sentence that describes the source code with which a replay trains a run again."""
+    """Return a sentence about the source code that a replay of the run executes."""
     main, *others = source_records(run)
     if main["commit"]:
         patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
@@ -76,7 +76,7 @@ def describe_code(run: RunDirectory) -> str:
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
     """Restore every source folder that a run recorded, as a subfolder of the existing folder ``workplace``.
 
-    Recorded commits are searched in the git clones ``repositories``, in the recorded folders, and in the current
+    A recorded commit may be in the git clones ``repositories``, in the run's original source folder, or in the current
     checkout. RunDirectoryError means that the package's source was not recorded, was not found, or is too old for a
     replay.
     """
@@ -162,7 +162,7 @@ def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
 
 
 def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
-    """Use a source folder whose content the run did not save, as it is now; add a note about possible differences."""
+    """Use the present files of a source folder that the run did not save; if they may have changed, add a note."""
     root, status = Path(record["root"] or "."), record["status"]
     digest = record["content_sha256"]
     unchanged = digest is not None and root.exists() and content_digest(root) == digest

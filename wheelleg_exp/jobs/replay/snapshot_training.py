@@ -71,7 +71,7 @@ class ReplayDisplay(PipeDisplay):
         self.found: dict[str, Any] = {}
 
     def record(self, event: str, **facts: Any) -> None:
-        """Send an event to the parent process, and store its data ``facts`` for the replay's manifest."""
+        """Send an event to the parent process, and keep the event's data for the new run's manifest."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
 

@@ -31,14 +31,14 @@ _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "conca
 # ``_TERM_KEYS`` are the config keys of an observation term that decide its function and its number of values.
 _TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")
 Tree = Mapping[str, Any]  # a config section or a loaded checkpoint
-_IGNORED_KEYS = ("noise",)  # A change of an observation term's ``noise`` leaves a trained policy usable.
+_IGNORED_KEYS = ("noise",)  # A trained policy still works if the ``noise`` of an observation term changes.
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The differences between the settings of a policy's earlier training and the settings of a new training."""
+    """The settings of a new training that differ from the training of its initial policy."""
 
-    mistakes: list[ConfigError]  # ``mistakes`` names changed settings that make an already trained policy unusable.
+    mistakes: list[ConfigError]  # ``mistakes`` lists changed settings with which the initial policy cannot work.
     suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change the observation size.
     notes: list[str]  # ``notes`` reports changed settings after which the trained policy may still work.
 
@@ -46,10 +46,10 @@ class Fit:
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the ``env`` and ``agent`` configs of a policy's training with those of a new training.
 
-    ``was`` and ``now`` are the sections ``env`` and ``agent`` of the saved policy's config and of the new config.
-    ``roles`` lists the networks to copy, such as ``actor``. ``of`` is the name of the earlier training in error
-    messages. A changed parameter of an observation function gives only a note, because its effect on the observation
-    size is not known before the environment is built.
+    ``was`` contains the config sections ``env`` and ``agent`` of the policy's training, and ``now`` those of the new
+    training. ``roles`` lists the networks to copy, such as ``actor``. ``of`` names the policy's training in error
+    messages, such as ``phase 'walk'``. A changed parameter of an observation function gives only a note, because it may
+    not change the observation size.
     """
     found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
@@ -145,11 +145,11 @@ class _Source:
 
 @contextmanager
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
-    """Yield the file of the initial networks (by file name), and the id and task of the run that trained them.
+    """Yield the initial networks' file as ``{INITIAL: path}``, and the id and task of the run that trained them.
 
     The file of the initial networks does not name the run that trained them, so that equal networks have equal files.
-    The function ``note`` receives a text for each allowed difference between ``config`` and the config of the networks'
-    run. ConfigError means that the checkpoint in ``init_from`` is missing, is damaged, or does not fit ``config``.
+    ``note`` receives a text about each changed setting with which the networks can still work. ConfigError means that
+    the checkpoint in ``init_from`` is missing, is damaged, or does not fit ``config``.
     """
     if config.get(KEY) is None:
         yield {}, {}
@@ -161,14 +161,14 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         what = _parts_name(config)
         parts = PARTS[what]
         if "actor" not in config["agent"]:
-            raise ConfigError("a distillation needs an untrained student", key=KEY, expected="null, or another agent")
+            raise ConfigError("a distillation must train a new student", key=KEY, expected="null, or another agent")
         absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
         if absent:
             message = f"'{source.label}' has no {absent[0]} to start with"
             raise ConfigError(message, key=WHAT, expected="policy, which needs only the actor")
         facts = {"checkpoint": source.path.name, "iteration": int(state["iter"]), "sha256": sha256(source.path)}
         facts |= {"what": what, "parts": list(parts)}
-        # A checkpoint must contain an actor and a critic, so an empty dictionary replaces a critic that is not copied.
+        # Every checkpoint has a critic entry, so write an empty dictionary if the critic is not copied.
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
@@ -236,7 +236,7 @@ def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable
 
 @contextmanager
 def _at_key(key: str) -> Iterator[None]:
-    """Turn a RunDirectoryError in the ``with`` block into a ConfigError for the config key ``key``."""
+    """Replace a RunDirectoryError of the ``with`` block by a ConfigError that names the config key ``key``."""
     try:
         yield
     except RunDirectoryError as error:

@@ -57,7 +57,7 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
 _CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can switch CUDA graphs (``env.sim.graph_step``) on or off.
-_NEW_KEYS = ("init_from", "init_from_what")  # Configs of older runs lack ``_NEW_KEYS``.
+_NEW_KEYS = ("init_from", "init_from_what")  # Configs of old runs lack ``init_from`` and ``init_from_what``.
 _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 
@@ -125,7 +125,7 @@ def _refusal(change: Change, why: str) -> ConfigError:
 def rewritten_files(
     run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
-    """Return the new texts of the run's config files, by path, if a resume changes settings; otherwise, return {}."""
+    """Return the run's config files with the changed settings as ``{path: text}``, or {} without a change."""
     if not found:
         return {}
     config = load_config(run)
@@ -140,7 +140,7 @@ def rewritten_files(
 
 
 def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
-    """Write one change into the unresolved config; an interpolation that contains the key is resolved first."""
+    """Change a key in the run's config; if an interpolation stands for a parent of the key, resolve it first."""
     node: Any = config
     for key in change.keys[:-1]:
         tree = tree.get(key) or {}
@@ -163,6 +163,6 @@ def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
 def _key(word: str) -> str:
     try:
         override = OverridesParser.create().parse_override(word)
-    except (HydraException, RecursionError):  # Use the whole override as key if Hydra cannot parse it.
+    except (HydraException, RecursionError):  # If Hydra cannot parse an override, its whole text is the key.
         return word
     return f"{override.key_or_group}@{override.package or ''}"

@@ -43,7 +43,7 @@ class ResumePoint:
         return [line.content for line in self.lines[: self.iteration]]
 
     def dropped(self, until: int) -> dict[int, Mapping[str, str]]:
-        """Return the logged digests (hashes) of iterations before ``until`` that the resume must compute again."""
+        """Return the logged digests (hashes) of the iterations, up to ``until - 1``, that the resume repeats."""
         later = (line.content for line in self.lines[self.iteration : until])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
@@ -91,13 +91,13 @@ def find_point(run: RunDirectory) -> ResumePoint:
 
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
-    """Describe damage to those files of a run that a resume does not write again."""
+    """Return texts about damaged files of a run that a resume will not replace."""
     subject = Subject(run, manifest, effective_status(manifest), IterationLog())
     return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
 
 
 def _lasts(name: str, start: int) -> bool:
-    """Return whether a resume at iteration ``start`` keeps the file or a part of it."""
+    """Return whether a resume at iteration ``start`` keeps at least a part of the file ``name``."""
     checkpoint = CHECKPOINT.fullmatch(name)
     if checkpoint is not None:
         return int(checkpoint[1]) < start
@@ -129,7 +129,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        # Delete exported single files, because they do not name their checkpoint, as exported folders do.
+        # Delete exported files such as ``policy.pt``, because they do not name the checkpoint of their policy.
         for path in run.exported.iterdir() if run.exported.is_dir() else ():
             if path.is_file():
                 path.unlink()

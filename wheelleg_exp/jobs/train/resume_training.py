@@ -199,7 +199,7 @@ def _prepare(
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
-    """Raise an error if the run's process is alive, because a file system may not support locks."""
+    """Check that the run's process has ended, because locks do not work on every file system."""
     process = manifest.data.get("process") or {}
     if manifest.status != "running":
         return
@@ -246,7 +246,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
 
 @contextmanager
 def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
-    """Add the config folders that this resume ignores to an error about a function that is not allowed."""
+    """If the config names a forbidden function, add the config folders that this resume ignores to the error."""
     try:
         yield
     except ConfigError as error:

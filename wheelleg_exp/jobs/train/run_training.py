@@ -36,7 +36,7 @@ class StuckCurricula:
         """Yield a warning for each curriculum that became stuck in this training iteration."""
         keys = [key for key in scalars if key.startswith(_CURRICULUM) and key.endswith(_STUCK)]
         marks = {key.removeprefix(_CURRICULUM).removesuffix(_STUCK).rstrip("_/"): scalars[key] for key in keys}
-        if not marks:  # A training iteration in which no episode ended logs no scalars of curricula.
+        if not marks:  # Curricula log scalars only in iterations in which an episode ends.
             return
         before, self.now = self.now, [name for name, value in marks.items() if value > 0.0]
         for name in self.now:
@@ -94,7 +94,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            # A resume must also replace a NaN count that the manifest already contains.
+            # If the manifest already contains a count of NaN episodes, replace this count even by an empty one.
             if failed or "non_finite" in training.manifest.results:
                 results["non_finite"] = dict(failed)
             yield iteration
@@ -123,7 +123,7 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
                 first = error
                 raise
     except BaseException as error:
-        first = first or error  # Report the training's error, not an error that it caused while files were closed.
+        first = first or error  # Report the training's error instead of a later error from closing files.
         try:
             _record_end(training, outputs, display)
         except Exception as second:
@@ -149,7 +149,7 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
 
 
 def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of those training iterations that the run finished before the current resume."""
+    """Return the last checkpoint, the number, the duration, and the scalars of the iterations before the resume."""
     if not earlier:
         return {}
     done = len(earlier)

@@ -38,7 +38,7 @@ def event_files(folder: Path) -> list[Path]:
 
 def open_events(folder: Path) -> SummaryWriter:
     """Return the writer of a new event file, which TensorBoard reads after all existing event files."""
-    # TensorBoard sorts event files by creation second, so wait if an existing file was created in this second.
+    # TensorBoard sorts event files by the second of their creation, so create at most one file per second.
     seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
     if f"{int(time.time()):010d}" in seconds:
         time.sleep(1.0)

@@ -33,7 +33,7 @@ _CALLS = ("_target_", "class_name")
 def source_roots(composed: Composed) -> list[Path]:
     """Return the folders whose source code a training depends on; the folder of this package comes first.
 
-    The list also contains the user's projects, Hydra's config folders, and packages whose functions the config names.
+    The list also contains the user's projects, Hydra's config folders, and packages named in keys such as ``_target_``.
     The folder of the robot's file is not returned, because a run directory contains a copy of the robot.
     """
     folders = _config_folders(composed)
@@ -66,7 +66,7 @@ def _config_folders(composed: Composed) -> Iterator[Path]:
 
 
 def _packages_called(config: Mapping[str, Any]) -> list[str]:
-    """Return the names of those packages of the user whose functions or classes the config names."""
+    """Return the names of the user's packages that occur in ``_target_`` or ``class_name`` keys of the config."""
     declared = {*installed_packages(), *joined_packages()}
     called = set(_called_names(config))
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
@@ -84,7 +84,7 @@ def _called_names(node: Any) -> Iterator[str]:
 
 
 def _package_root(name: str) -> Path | None:
-    """Return the folder or file of a top-level package or of the package's project, without importing the package."""
+    """Return the folder of a package's project, or else of the package itself, without importing the package."""
     top = name.replace("/", ".").partition(".")[0]
     if top in (_PACKAGE, "hydra"):
         return None
@@ -105,7 +105,7 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    # Do not resolve symbolic links here, because the standard library's module sitecustomize can be a link.
+    # Compare unresolved paths, because ``sitecustomize`` in Python's library folder can be a symbolic link.
     own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
     return [path.resolve() for path in own if path.exists()]
 

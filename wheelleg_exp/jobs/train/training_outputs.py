@@ -29,7 +29,7 @@ class Outputs:
     """The output files of a running training, which are readable at any moment and closed on exit.
 
     Logs are synced to disk before each checkpoint, so that no checkpoint is newer than the logs after a power failure.
-    ``diverged_after`` is the first iteration with different networks in two ranks, or None.
+    ``diverged_after`` is the first iteration after which two ranks have different networks, or None.
     """
 
     def __init__(

@@ -141,7 +141,7 @@ class TrainingRecording(ObservingRecording):
                 self._recorder.document(name, text)
         if aside:
             self._recorder.say(f"{aside}; this one starts with iteration {start_iteration}")
-        # In the longest case, an episode of full length starts after ``options.steps - 1`` recorded frames.
+        # The longest recording of an iteration has ``options.steps - 1`` frames and one more full episode.
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
@@ -191,7 +191,7 @@ class TrainingRecording(ObservingRecording):
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
 
     def _due(self, iteration: int) -> int:
-        """Return the control step at which the latest recorded iteration (a multiple of ``interval``) started."""
+        """Return the control step at the start of the latest iteration that is a multiple of ``interval``."""
         now = self._env.common_step_counter
         return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 

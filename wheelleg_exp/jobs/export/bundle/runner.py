@@ -91,7 +91,7 @@ class Term:
         """Return the robot's measured minus commanded distance (m) and heading (rad), clipped to maximum errors."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # In the first step after a reset, the errors of distance and heading are 0.
+        if -1 in self.memory:  # In the first step after a reset, the robot's distance and heading errors are 0.
             forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
             missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
@@ -165,7 +165,7 @@ class Policy:
     def reset(self) -> None:
         """Start an episode: the next sensor readings fill all histories, and wheel angles count from these readings."""
         self.steps = 0
-        self.zero = np.zeros(len(self.default))  # ``zero`` contains wheel angles at the reset minus default angles.
+        self.zero = np.zeros(len(self.default))  # ``zero`` is each wheel's angle at the reset minus its default angle.
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
@@ -174,9 +174,9 @@ class Policy:
     def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Return targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of the J joints, (J,) each.
 
-        ``readings`` contains the current value of each sensor reading and each command, by name. A caller without
-        ``projected_gravity`` can give ``base_quat`` (w, x, y, z). If a sensor reading is missing or not finite,
-        ``step`` raises ValueError and does not change the policy's state.
+        ``readings`` contains the current value of each sensor reading and each command, by name. ``base_quat`` (w, x,
+        y, z) can replace the reading ``projected_gravity``. If a sensor reading is missing or not finite, ``step``
+        raises ValueError and does not change the policy's state.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
@@ -255,7 +255,7 @@ class Policy:
         return x
 
     def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the targets of all joints; only relative actions depend on ``joint_pos`` (target = position + action).
+        """Return the targets of all joints; a relative action is added to the joint's position in ``joint_pos``.
 
         Target positions of joints are clipped to the joint limits. Target velocities are clipped to the velocity limits
         of the motor drives.
@@ -274,8 +274,7 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
     """Compare ``Policy`` with the recorded values in ``check.npz``; return the largest difference of each output.
 
     ``check`` computes observations from recorded readings, actions from recorded observations, and targets from
-    recorded actions. The entry ``actions_float32`` is the difference from actions that torch computed in float32, with
-    other rounding.
+    recorded actions. ``actions_float32`` is the largest difference from the actions that torch computed in float32.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
