@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**{"allow_abbrev": False, **kwargs})
 
     def error(self, message: str) -> NoReturn:
-        """Raise a UsageError with the error message of argparse."""
+        """Convert an error message of argparse to a UsageError, and raise the UsageError."""
         options = [option for action in self._actions for option in action.option_strings]
         words = [action for action in self._actions if not action.option_strings]
         wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
@@ -60,7 +60,7 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
 def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse's error about missing arguments names even optional arguments.
+    if missing is not None:  # argparse lists even optional arguments as missing.
         wanted = missing.group(1).split(", ")
         # A required and an optional argument of a command can have the same name.
         names = [name for name in wanted if name not in optional] or wanted

@@ -14,8 +14,8 @@ from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-# The completion script passes the typed command line in the environment variable WHEELLEG_COMPLETE_LINE.
-# In bash, the completion script also passes the word-splitting characters, in WHEELLEG_COMPLETE_BREAKS.
+# A shell's completion script sets WHEELLEG_COMPLETE_LINE to the typed command line, and then calls `wheelleg`.
+# The bash completion script also sets WHEELLEG_COMPLETE_BREAKS to bash's word-splitting characters.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
 _QUERY = "query"
 

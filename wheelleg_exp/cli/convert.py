@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
             expected = "SET=NAME, such as Physics=PhysX"
             raise AssetError(f"'{text}' does not select a variant of a USD file", key="--variant", expected=expected)
         variants[name] = value
-    with StopRequest() as stop:  # The USD library ignores a Ctrl-C during its import.
+    with StopRequest() as stop:  # Without StopRequest, the import of the USD library ignores Ctrl-C.
         from wheelleg_exp.asset.convert_robot import convert
         from wheelleg_exp.asset.mjcf.preview_scene import write_scene
     stop.check()

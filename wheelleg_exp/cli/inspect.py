@@ -1,7 +1,7 @@
 """``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
-Without an action such as ``--plot``, ``wheelleg inspect`` prints a summary of the recording. ``wheelleg inspect`` runs
-several requested actions in the order of the tuple ``ACTIONS``.
+Without an action such as ``--plot``, ``wheelleg inspect`` prints a summary of the recording. If the user requests
+several actions, ``wheelleg inspect`` runs the actions in the order of the tuple ``ACTIONS``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Result:
 
     document: Any
     show: Callable[[], None]
-    status: int = EXIT_OK  # With several actions, ``wheelleg inspect`` returns the highest exit status.
+    status: int = EXIT_OK
     notes: tuple[str, ...] = ()  # Notes for the user are printed on standard error.
 
 
@@ -164,7 +164,7 @@ def _selection_of(args: argparse.Namespace) -> Selection:
 
 
 def _other_recording(args: argparse.Namespace) -> Recording:
-    """Open the recording given in ``--compare``; with ``--play``, a run means its last ``wheelleg play`` recording."""
+    """Open the recording given in ``--compare``; with ``--play``, open the run's last ``wheelleg play`` recording."""
     from wheelleg_exp.inspection.recording_target import find_target, names_a_run
     from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -362,13 +362,13 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
     def say(line: str) -> None:
         print(line, file=sys.stderr if args.json else sys.stdout, flush=True)
 
-    with suppress(KeyboardInterrupt):  # Ctrl-C stops the web server.
+    with suppress(KeyboardInterrupt):
         serve(_readable(inspected), say, port=args.port or 0, browser=not args.no_browser)
     return Result({"closed": True}, lambda: None)
 
 
 def _readable(inspected: Inspected) -> Path:
-    """Return the path of a recording; read the file first, because rerun's viewer does not explain a damaged file."""
+    """Read a recording, so that a damaged file raises an error before Rerun's viewer opens it; return the path."""
     return Path(inspected.recording.path)
 
 

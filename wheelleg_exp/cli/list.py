@@ -157,7 +157,7 @@ def _pipelines(args: argparse.Namespace) -> Listed:
     for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
             phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
-        except WheellegError as error:  # Print only the first line; ``wheelleg train`` prints the whole error.
+        except WheellegError as error:  # Print only the error's first line; ``wheelleg train`` prints all lines.
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
     for index in pipelines_below(_runs_folder(args.root)):

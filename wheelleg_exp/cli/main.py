@@ -39,7 +39,7 @@ class Command:
 
     module: str
     help: str
-    run: str = "run"  # ``run`` is the name of the module's function that runs the command.
+    run: str = "run"  # ``run`` names the function in ``module`` that runs the command.
     project: bool = True  # ``project`` is true if the command reads configs of the current folder's project.
 
 

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     """Create a user project, and print the project's contents and suggested next commands. An error leaves no files."""
     from wheelleg_exp.stop_request import StopRequest
 
-    with StopRequest() as stop:  # The USD library ignores a Ctrl-C during its import.
+    with StopRequest() as stop:  # Without StopRequest, the import of the USD library ignores Ctrl-C.
         from wheelleg_exp.project.create import create
     stop.check()
     made = create(args.place, args.robot, allow_missing=args.allow_missing)

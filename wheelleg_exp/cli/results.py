@@ -84,7 +84,7 @@ def _again(args: argparse.Namespace) -> int:
         known = ", ".join(pages) or "(there are none)"
         expected = f"names of results with --again, no runs and no overrides: {known}"
         raise WheellegError(message, key="NAME", expected=expected, nearest=nearest_name(missing[0], pages))
-    # Read the records of all runs first, so that a damaged record raises an error before the first training.
+    # Read the JSON files of all results first, so that a damaged file raises an error before the first training.
     records = {name: read_result(name, args.into) for name in names}
     differ = False
     trained: dict[str, RunDirectory] = {}

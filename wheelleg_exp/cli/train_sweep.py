@@ -43,7 +43,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         from wheelleg_exp.jobs.sweep_queue import make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
 
-        # Collect the folders for ``--config-dir``, except the current project's folder, which is always searched.
+        # Omit the current project's config folder from ``--config-dir``, because commands always search this folder.
         own: list[Path] = []
         with suppress(ConfigError):
             own = with_current([])
@@ -81,7 +81,7 @@ def _at_once(sweep: Sweep) -> int:
 
 
 def _joblib() -> ModuleType:
-    """Import joblib, and unset the environment variables that joblib sets and that sweep jobs must not inherit."""
+    """Import joblib, and unset the environment variables that joblib sets, because sweep jobs would inherit them."""
     before = set(os.environ)
     import joblib
 

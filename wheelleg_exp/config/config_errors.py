@@ -20,7 +20,7 @@ class Mistakes(ConfigError):
 
 
 class UnknownName(ConfigError):
-    """A config value, such as the interpolation ``${env.x}``, refers to a missing config key, ``named``."""
+    """A config value, such as the interpolation ``${env.x}``, refers to the key ``named``, which does not exist."""
 
     named: str
 

@@ -54,7 +54,7 @@ class Slot:
     """
 
     annotation: Any = Any
-    # A plain default ``Parameter.empty`` would look like a missing default to `inspect.signature`.
+    # `inspect.signature` would treat a plain default ``Parameter.empty`` as no default, so use a factory.
     default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
@@ -78,7 +78,7 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
 
 
 def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the types and defaults of the subkeys of the config key ``keys``; empty if any subkey is accepted."""
+    """Return the types and defaults of the subkeys of a section such as ``env.sim``; empty if any subkey is valid."""
     node = at(tree, keys)
     section = section_of(keys)
     if section is not None and isinstance(node, Mapping) and TARGET in node:
@@ -103,7 +103,7 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
 
 
 def section_of(keys: Keys) -> str | None:
-    """Return the config section of the term at the config key ``keys``; None if no term is at this key."""
+    """Return the section of a term's config key, such as ``rewards`` for ``env.rewards.alive``; None for other keys."""
     if len(keys) == 3 and keys[0] == "env" and keys[1] in RESERVED and keys[1] != "observations":
         return keys[1]
     observation = len(keys) == 5 and keys[:2] == ("env", "observations") and keys[3] == "terms"
@@ -111,7 +111,7 @@ def section_of(keys: Keys) -> str | None:
 
 
 def term_keys(keys: Keys) -> Keys | None:
-    """Return the key of the term, such as a reward term, that contains the config key ``keys``; None outside terms."""
+    """Return the key of the term that contains a key such as ``env.rewards.alive.weight``; None outside of terms."""
     return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
 
 

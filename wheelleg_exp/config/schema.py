@@ -1,7 +1,7 @@
 """Define the fixed part of the composed config: its keys, their types, and their ranges.
 
-The keys of a config section are the fields of the dataclass that reads the section. The annotation of a field, such as
-``seed: Seed``, defines the type and the range of the config value.
+Each config section has a dataclass, whose field names are the keys of the section. A field's annotation, such as
+``Seed`` for the field ``seed``, defines the type and the range of the config value.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
 
 
 def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
-    """Yield the key path of each mapping and of each single value below ``node``."""
+    """Yield the path of each key below a config node, such as ``("sim",)`` and ``("sim", "dt")`` below ``env``."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             path = (*prefix, str(key))
@@ -129,7 +129,7 @@ def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
 class DefaultsEntry:
     """One ``key: value`` of a file's defaults list, such as ``override /reward@env.rewards: [alive]``."""
 
-    key: str  # The config group, such as ``/reward@env.rewards``, without the words `override` and `optional`.
+    key: str  # ``key`` names a config group, such as ``/reward@env.rewards``, without the word `override`.
     value: Any
     override: bool
     line: int

@@ -38,7 +38,7 @@ _ENVS, _SECONDS = 32, 2.0
 def random_rewards(composed: Composed) -> Mapping[str, float]:
     """Return each reward term's mean reward per second under standard normal actions, by name.
 
-    ``random_rewards`` simulates 32 environments for two seconds, so ``composed`` must be a valid config.
+    The config must be valid, because ``random_rewards`` simulates 32 environments for two seconds.
     """
     config = copy.deepcopy(composed.config)
     config["env"]["num_envs"] = _ENVS
@@ -174,7 +174,7 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
     return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
 
 
-# Rules about basic errors are first: with wrong masses, for example, findings about drives are wrong, too.
+# Rules about basic errors are first, because wrong masses, for example, cause wrong findings about drives.
 OF_ROBOT = (
     "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
     "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",
@@ -193,7 +193,7 @@ OF_TASK = (
 class Diagnosis:
     """The diagnosis of one robot: the findings, most urgent first, and facts worth knowing.
 
-    ``silenced`` contains the findings that the task accepts, with the reasons that the task's config gives.
+    ``silenced`` contains the findings of lint rules that the task's config silences, each with the config's reason.
     """
 
     subject: str

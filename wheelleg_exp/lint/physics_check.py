@@ -26,7 +26,7 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
 @dataclass(frozen=True)
 class PhysicsReport:
-    """The findings of ``check --physics`` about one config.
+    """The implausible values (findings) that ``wheelleg check --physics`` reports for one config.
 
     ``reasons`` maps each silenced lint rule to the reason that ``check.silence`` in the config gives.
     """
@@ -87,7 +87,7 @@ def examine(composed: Composed) -> PhysicsReport:
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
     """Return the robot of a config, compiled as in a training, and the measured facts about the robot."""
     env = composed.config["env"]
-    # `wheelleg check --physics` simulates no steps, so MuJoCo on the CPU is enough for any config.
+    # No step is simulated, so MuJoCo on the CPU is enough, even if the config sets another engine.
     env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene

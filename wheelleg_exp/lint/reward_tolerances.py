@@ -27,9 +27,9 @@ CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.n
 class Contribution:
     """The output of a reward term for a robot with an acceptable error (``tolerance``), such as a tilt of 0.1 rad.
 
-    ``value`` is the term's output, without its weight, for a robot with an acceptable error; None if unknown. ``cost``
-    is the absolute difference between ``value`` and the term's output for a robot without error. If ``once`` is true,
-    the reward is given once per episode instead of at each control step.
+    ``value`` is the term's unweighted output for a robot with an acceptable error; None if unknown. ``cost`` is the
+    absolute difference between ``value`` and the term's output for a robot without error. If ``once`` is true, the
+    reward is given once per episode instead of at each control step.
     """
 
     term: TermView
@@ -41,7 +41,7 @@ class Contribution:
 
     @property
     def best(self) -> float:
-        """The output of the reward term, without its weight, for a robot without tracking and posture errors."""
+        """The unweighted output of the reward term for a robot without tracking or posture errors."""
         return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
@@ -54,7 +54,7 @@ class Contribution:
 
 
 def contributions(case: Case) -> list[Contribution]:
-    """Return the reward that each reward term gives for an acceptable error of the robot."""
+    """Return the output of each reward term for a robot with an acceptable error, such as a tilt of 0.1 rad."""
     return [_contribution(case, term) for term in case.terms("rewards")]
 
 
@@ -175,5 +175,5 @@ _SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
 
 
 def tracked(case: Case) -> Iterator[TermView]:
-    """Yield the reward terms that reward the tracking of a command."""
+    """Yield the reward terms that reward the robot for following a command."""
     yield from case.terms("rewards", *TRACKING)

@@ -38,8 +38,8 @@ class Case:
     """The input of a lint rule: a valid config and the robot of this config.
 
     ``robot`` is the robot's compiled MuJoCo model, or None if only its measured properties ``facts`` are known.
-    ``trial`` maps each reward term to the mean reward per second in a simulation with random actions; None if no
-    simulation ran.
+    ``trial`` maps each reward term's name to its mean reward per second under random actions; None without a
+    simulation.
     """
 
     config: Mapping[str, Any]
@@ -99,7 +99,7 @@ class Case:
         return {joint: joints[joint] for joint in found}
 
     def by_joint(self, values: Any, names: Sequence[str], default: Any) -> dict[str, Any]:
-        """Return a value for each joint, from one value or from a mapping of joint expressions to values."""
+        """Return a value for each joint; ``values`` is one value for all joints, or a mapping by joint expression."""
         spread = values_by_name(values, list(names), default, key="values", what="joint")
         return dict(zip(names, spread, strict=True))
 
@@ -114,7 +114,7 @@ def kind_of(target: str, path: str) -> str:
 
 
 def largest(pair: Any) -> float:
-    """Return the largest absolute value of a range [low, high]; 0 if the range is None."""
+    """Return the larger absolute value of the two ends of a range ``[low, high]``; 0 if the range is None."""
     return max((abs(float(value)) for value in pair), default=0.0) if pair is not None else 0.0
 
 
@@ -122,9 +122,9 @@ def largest(pair: Any) -> float:
 class Finding:
     """One implausible number in a config, with the problem and what to do.
 
-    ``figures`` contains numbers that describe the problem, by name and in SI units. ``advice`` contains alternative
-    fixes, each a mapping from config keys to new values. ``where`` is the file and line, or the override, that set the
-    config key.
+    ``figures`` maps names such as ``effort`` to numbers (SI units) that describe the problem. ``advice`` contains
+    alternative fixes; each fix maps config keys to new values. ``where`` is the file and line, or the override, that
+    set ``key``.
     """
 
     key: str
@@ -186,12 +186,12 @@ def listed(names: Sequence[str], most: int = 4) -> str:
 
 
 def at_least(value: float, digits: int = DIGITS) -> float:
-    """Round ``value`` up to ``digits`` significant digits."""
+    """Round ``value`` upwards (towards +∞) to ``digits`` significant digits."""
     return float(_rounded(value, digits, ROUND_CEILING))
 
 
 def at_most(value: float, digits: int = DIGITS) -> float:
-    """Round ``value`` down to ``digits`` significant digits."""
+    """Round ``value`` downwards (towards -∞) to ``digits`` significant digits."""
     return float(_rounded(value, digits, ROUND_FLOOR))
 
 

@@ -100,8 +100,8 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
     """The wheel drives are too weak or too slow to balance a robot on one axle.
 
     Wheels catch a lean of 0.1 rad only if the wheels accelerate with 0.1 g, which needs a force of a tenth of the
-    weight. The wheels' rims must be faster than 0.1 rad · h · p, for a centre of mass at the height h and a tilt that
-    grows as exp(p·t). Source: the inverted pendulum on wheels.
+    weight. If the centre of mass is at the height h and the tilt grows as exp(p·t), the wheel rims' speed must exceed
+    0.1 rad · h · p. Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -139,8 +139,8 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
     At rest, a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The
     effort limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must
     hold the joint within 0.1 rad of its target at an action of 0: the error is gravity's torque over kp, minus the
-    action's offset. ``effort_against_load`` ignores joints of closed loops, because several joints of a loop share the
-    load. Source: statics, tau = -J^T F.
+    action's offset. The joints of closed loops are not checked, because several joints of a loop share the load.
+    Source: statics, tau = -J^T F.
     """
     legs = case.robot.anatomy.legs if case.robot is not None else ()
     looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
@@ -155,7 +155,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
             message = f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest"
             hint = f"at least {effort:g} N·m"
             yield Finding(key, message, hint, {"effort": drive.effort, "load": abs(load)}, ({key: effort},))
-        # ``shifts`` maps each joint to its position target for a zero action, minus its default position, rad.
+        # At an action of 0, a joint's position target is its default position plus ``shifts[joint]``, rad.
         shifts: dict[str, float] = {}
         for term in case.terms("actions", "actions.JointPositionAction"):
             if not term.node.get("use_default_offset", True):

@@ -150,15 +150,15 @@ def push_size(case: Case) -> Iterator[Finding]:
 
     The largest push that wheels can catch is the wheels' acceleration divided by the rate sqrt(m g h / I) of the
     inverted pendulum. The wheels' acceleration is limited by their friction or by the torque of their drives. Every
-    robot falls after a push far above the largest push that the wheels can catch. Pushes below a fifth of the largest
-    push that the wheels can catch do not test the policy. Pushes along the robot's own y axis are not checked, because
+    robot falls after a push far above the largest push that the wheels can catch. A push below a fifth of the largest
+    push that wheels can catch does not test a policy. Pushes along the robot's own y axis are not checked, because
     wheels cannot catch sideways pushes. Pushes along the world's y axis are checked, because a robot that has turned by
     90° can roll in this direction. Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
         return
-    # ``limit`` is the fastest push that the wheels can catch, m/s: wheel acceleration (m/s²) / tilt growth rate (1/s).
+    # ``limit`` is the largest push (a change of the velocity, m/s) that the wheels can catch.
     facts = case.facts
     drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
     spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
@@ -355,7 +355,7 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
-        start = -case.facts.clearance  # The rule ``spawn_height`` reports a default pose inside the ground.
+        start = -case.facts.clearance  # The rule ``spawn_height`` reports if the default pose is inside the ground.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
             height = float(case.env["robot"]["init_state"]["pos"][2])
             right = at_least(height + depth, 4)
@@ -384,7 +384,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # "XYZ" means rotations about fixed axes.
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # MuJoCo rotates about fixed axes for "XYZ".
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat

@@ -39,11 +39,11 @@ def action_scale(case: Case) -> Iterator[Finding]:
                 hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
                 advice = () if scale is None else ({key: scale},)
                 yield Finding(key, f"'{name}': {message}", hint, figures, advice)
-                break  # Report only the first bad joint of an action term.
+                break  # Report only one joint of each action term.
 
 
 def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
-    """Return the message, hint (empty if a new scale helps), and numbers for a bad action scale, or None."""
+    """If an action scale is bad, return a message, a hint (empty if a new scale helps), and numbers; otherwise None."""
     if term.kind in _VELOCITY:
         if drive.damping == 0.0:
             return "a speed target needs the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
@@ -150,7 +150,7 @@ def command_reach(case: Case) -> Iterator[Finding]:
 _ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
 _SMALLEST, _LARGEST = 0.01, 10.0  # The size of a policy's inputs should be between 0.01 and 10.
 _LOUD = 0.5  # An observation's noise should be below 50 % of the observation's largest value.
-# For each type of observation noise, ``_NOISES`` has the parameters that set the noise's size, and their defaults.
+# ``_NOISES`` maps each type of observation noise to the parameters for the noise's size, with their default values.
 _NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
 
 

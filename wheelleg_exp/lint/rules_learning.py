@@ -125,7 +125,7 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
 
 
 def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest weight with which an error of ``item.tolerance`` costs 1 % of a perfect robot's reward."""
+    """Return the smallest reward weight at which an acceptable error costs 1 % of a perfect robot's reward, or None."""
     if item.weight < 0.0:
         return -at_least(_AUDIBLE * best / item.cost)
     others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
@@ -163,7 +163,7 @@ def horizon_steps(case: Case) -> float:
 
 _GAMMA = "agent.algorithm.gamma"
 _AVERAGE = "agent.average_iterations"
-_DUST = 1e-9  # Relative tolerance of comparisons, because 1 - gamma has rounding errors.
+_DUST = 1e-9  # Comparisons allow for this relative rounding error of 1 - gamma.
 _FALLS = 5.0  # The discount horizon must be at least five time constants of a robot's fall.
 _EARLY = 0.25  # At most 25 % of a policy's averaged weights should come from the first training iterations.
 
@@ -214,7 +214,7 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
 
 
 def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
-    """Recommend ``gamma`` = 1 - ``share``; if episodes are shorter than a robot's fall, recommend longer episodes."""
+    """Recommend ``gamma`` = 1 - ``share``, or longer episodes if an episode is shorter than a robot's fall."""
     if case.episode_s < fall:
         return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
@@ -225,9 +225,9 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
 def late_average(case: Case) -> Iterator[Finding]:
     """The averaged policy weights depend too much on the first training iterations.
 
-    Up to training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
+    Until training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
     After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
-    After i training iterations with ``average_iterations`` = n, the first n have the share (1 - 1/n)^(i - n) of the
+    After i iterations, the first n = ``average_iterations`` iterations have the share (1 - 1/n)^(i - n) of the
     average. Source: the weights of an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
@@ -235,7 +235,7 @@ def late_average(case: Case) -> Iterator[Finding]:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        # Solve exp(1 - i/n) = ``_EARLY`` for n, because (1 - 1/n)^(i - n) is at most exp(1 - i/n).
+        # The share (1 - 1/n)^(i - n) is at most exp(1 - i/n), so solve exp(1 - i/n) = ``_EARLY`` for n.
         few = int(iterations / (1.0 - math.log(_EARLY)))
         enough = few if few > 1 else 0  # 0 disables the mean
         message = f"{100 * early:.0f} % of the mean is from iterations 1 to {min(reach, iterations)} of {iterations}"

@@ -121,8 +121,8 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, the robot's centre of mass is not above the wheels.
 
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. If the robot can balance with other joint
-    positions of the legs, the hint contains these positions. On several axles, the robot's centre of mass must be
+    of mass of the parts above the axle is vertically above the axle. If the robot can balance with other leg
+    joint positions, the finding's hint lists these positions. On several axles, the robot's centre of mass must be
     between the outermost wheel contacts. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None:
@@ -236,7 +236,7 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
-    """Return whether equal positions turn the lowest pitch joints of both legs alike; true without pitch joints."""
+    """Return whether equal positions of the lowest pitch joints turn both legs in the same direction."""
     anatomy, left = robot.drawn, np.array(robot.drawn.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}

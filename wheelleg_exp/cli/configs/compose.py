@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     import yaml
 
-    # PyYAML can write lines that are longer than ``width``, so choose a width below 80 characters.
+    # PyYAML writes some lines longer than ``width``, so a width of 72 keeps most lines below 80 characters.
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
     print(text.removesuffix("...\n"), end="")
     return EXIT_OK

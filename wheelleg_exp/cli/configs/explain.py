@@ -126,7 +126,7 @@ def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
 
 
 def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
-    """Return example overrides that change the options of a config group, such as ``+reward@env.rewards=alive``."""
+    """Return overrides that add, replace, or remove a group's options, such as ``+reward@env.rewards=alive``."""
     other = option if option in others else (others[0] if others else "<option>")
     if not mount.several:
         return [f"{mount.name}={other}"]

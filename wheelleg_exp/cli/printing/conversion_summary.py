@@ -46,7 +46,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
     used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
     _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
-    order = report.dof_order  # The printed table contains the joints in MuJoCo's order.
+    order = report.dof_order  # The table has MuJoCo's joint order; print PhysX's order if it differs.
     if order.physx and order.physx != order.mujoco:
         print(hanging(f"order in PhysX: {_few(order.physx, JOINTS, ', ...')}", 4))
     # Print the values that the converter assumed because the robot file lacks them, and the joints or links affected.

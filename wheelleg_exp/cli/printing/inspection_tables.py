@@ -161,9 +161,9 @@ _NOTES = 3  # Print only the last 3 notes of a recording.
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
     """Print tables of a recording's contents and performance figures.
 
-    ``others`` contains the paths of all recordings of the run except the printed recording. The printed performance
-    figures are computed only from the recorded rows in ``selection``. ``status`` is the status of the training run that
-    was recorded, and None for a recording of ``wheelleg play``.
+    ``others`` contains the paths of all recordings of the run except the printed recording. ``selection`` selects the
+    recorded rows from which the printed performance figures are computed. ``status`` is the status of the training run
+    that was recorded, and None for a recording of ``wheelleg play``.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:

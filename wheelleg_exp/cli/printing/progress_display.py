@@ -183,7 +183,7 @@ class ConsoleSweepDisplay(LiveLines):
         self.say(f"{_title(job)} {job['status']}{why}")
 
     def note(self, job: Mapping[str, Any], text: str) -> None:
-        """Show a note of a job once, although several jobs may send the same note."""
+        """Print the note ``text`` of a sweep job, unless the same note was already printed."""
         if text not in self._shown:
             self._shown.add(text)
             self.say(hanging(f"job {job['number']}: {text}", 4))

@@ -53,7 +53,7 @@ class LastingStream:
             self._redirect()
 
     def _redirect(self) -> None:
-        """Redirect the stream to the null device, so that Python's last flush raises no error."""
+        """Redirect the stream to the null device, so that flushing the stream when Python exits raises no error."""
         with suppress(OSError, ValueError):
             descriptor = self._stream.fileno()
             null = os.open(os.devnull, os.O_WRONLY)
@@ -99,7 +99,7 @@ def shown(path: Path) -> str:
 
 PLAIN_WIDTH = 100
 _GAP = 2  # A printed table has 2 spaces between two columns.
-_LEAST_WRAPPED = 12  # A line of a wrapped table cell has room for at least 12 characters.
+_LEAST_WRAPPED = 12  # A wrapped table column is at least 12 characters wide.
 _MOST_LINES = 3  # A wrapped table cell has at most 3 lines.
 _INDENT = "    "
 
@@ -144,8 +144,7 @@ def _broken(word: str, width: int) -> list[str]:
 def hanging(text: str, indent: int, first: str = "") -> str:
     """Wrap a text to the width of the terminal, with a hanging indent.
 
-    ``first`` is a label before the first line of ``text``, padded with spaces to ``indent`` characters. Without a
-    label, the first line of ``text`` is not indented.
+    The label ``first``, padded with spaces to ``indent`` characters, precedes the first line.
     """
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""
@@ -161,8 +160,8 @@ def table_width(columns: Sequence[str], rows: Sequence[Row]) -> int:
 def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, lines: bool = True) -> None:
     """Print a table; if the table is too wide for the terminal, wrap wide columns or print each row as several lines.
 
-    If a row is printed as several lines, the first ``heads`` cells of the row form the heading. If ``lines`` is true, a
-    table in a terminal has lines between the cells.
+    If each row is printed as several lines, the row's first ``heads`` cells are the heading of these lines. If
+    ``lines`` is true, a table in a terminal has lines between the cells.
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
@@ -189,7 +188,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, 
 
 
 def _fitted(widths: Sequence[int], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
-    """Return table column widths whose sum is at most ``room``; None if a cell would need too many lines."""
+    """Return table column widths with a sum of at most ``room``; None if the cells cannot be wrapped to this width."""
     # Narrow the table columns with long titles first, and then the widest columns.
     columns = range(len(widths))
     pieces = [max(max(map(len, _pieces(row[i])), default=0) for row in rows) for i in columns]

@@ -97,7 +97,7 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
         return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # Another check reports an unknown class name.
+        return []  # If the class does not exist, ``_check_class_name`` reports this.
     errors = _check_parameters(path, node, found)
     # rsl_rl accepts an actor without an action distribution, but cannot train such an actor.
     is_actor = path in ("agent.actor", "agent.student")
@@ -141,7 +141,7 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
             errors.append(not_one_of(message, name, accepted, key=key))
         elif isinstance(value, Mapping) and "class_name" in value:
             errors += _check_constructor(key, value)
-        elif name not in PARAMETERS:  # The rsl_rl parameters in ``PARAMETERS`` are checked elsewhere.
+        elif name not in PARAMETERS:  # ``parameter_errors`` checks the rsl_rl parameters in ``PARAMETERS``.
             wrong = value_errors(key, value, accepted[name].annotation)
             words = known_words(name, value) if name in RESOLVERS and not wrong else None
             errors += wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]

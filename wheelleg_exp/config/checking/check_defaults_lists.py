@@ -152,7 +152,7 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """If Hydra put a config file at a key that no code reads, add to the error what selected the file.
+    """For config files at a key that no code reads, add to the error the override or the line that selected the file.
 
     If a term's file is at a wrong key, remove the additional error that the term has no ``_target_``.
     """
@@ -171,7 +171,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the config files at a key that no code reads; empty if other sources also set values at this key."""
+    """Return the config files that Hydra put at a key that no code reads; empty if other sources also set this key."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
     brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
@@ -244,7 +244,7 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
     """Find defaults lists that order terms, such as rewards, differently from the composed config.
 
-    If a parameter of a term is set before the term's own file is merged, the term gets an earlier position.
+    A term gets an earlier position if another file sets a parameter of the term before Hydra merges the term's file.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:

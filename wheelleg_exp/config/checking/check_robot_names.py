@@ -120,7 +120,7 @@ def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tu
     """Return the joint or body ``names`` that match regular expressions, and errors such as a missing match."""
     listed = [expressions] if isinstance(expressions, str) else list(expressions)
     if not all(isinstance(expression, str) for expression in listed):
-        return [], []  # A separate type check reports a regular expression that is not a string.
+        return [], []  # If a regular expression is not a string, a separate type check reports this.
     errors = [error for expression in listed for error in _match_error([expression], names, key, what)]
     errors = errors or _match_error(listed, names, key, what)
     return ([], errors) if errors else (match_names(listed, names, key=key, what=what)[1], [])
@@ -165,11 +165,11 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
 def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
     groups = config["env"]["robot"].get("actuators")
     if not isinstance(groups, Mapping):
-        return []  # Another check reports that env.robot.actuators is not a mapping.
+        return []  # If env.robot.actuators is not a mapping, another check reports this.
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # Another check reports a regular expression that matches no joint.
+        return []  # If a regular expression matches no joint, another check reports this.
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):
@@ -217,7 +217,7 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
     try:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
-        return None  # Another check reports a ``_target_`` that cannot be imported.
+        return None  # If a ``_target_`` cannot be imported, another check reports this.
 
 
 def _names(
@@ -237,7 +237,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # Another check reports that a sensor's regular expression matches no body.
+            continue  # If a sensor's regular expression matches no body, another check reports this.
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":

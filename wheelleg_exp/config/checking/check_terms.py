@@ -1,7 +1,7 @@
 """Check the terms of a config, and the references from one config section to another section.
 
 Each term needs valid parameters and a ``_target_``, which must be an existing class or function of an allowed package.
-If a parameter of a term names a command, an action term, or a reward, the config must contain this other term.
+If a term's parameter, such as ``command_name``, names another term, the config must contain this other term.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# For a config section, `_CLASSES` names the base class of the terms; `_ARGUMENTS` names their first arguments.
+# For some config sections, `_CLASSES` names the base class of terms, `_ARGUMENTS` the first parameters of functions.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
@@ -178,7 +178,7 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # Another check reports an unknown observation group.
+        return []  # If an observation group does not exist, another check reports this.
     if at(config, "agent.teacher") is not None:
         used |= set(groups)  # Distillation may keep the critic's observation groups, which no network reads.
     unused = [
@@ -203,7 +203,7 @@ def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
     if count < 1:
-        return []  # A separate type check reports an invalid value of env.num_envs.
+        return []  # If env.num_envs is below 1, a separate type check reports this.
     if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
         return []
     expected = f"at least one environment, each once, from 0 to {count - 1}"

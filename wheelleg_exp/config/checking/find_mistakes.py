@@ -1,7 +1,7 @@
 """Find every mistake in a config without a simulation, and report all of them at once.
 
-``check`` returns the mistakes of a composed config. ``find_mistakes`` composes a config first. If a broken file stops
-Hydra, ``find_mistakes`` treats the broken file as empty, so that it finds the remaining mistakes too.
+The function ``check`` returns the mistakes of a composed config; ``find_mistakes`` composes the config first. If a
+broken file stops Hydra, ``find_mistakes`` treats this file as empty, so that it finds the other mistakes too.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 
 @dataclass
 class Leniency:
-    """The parts of a config that a ``TolerantLoader`` ignores because they contain mistakes.
+    """The config files and ``override`` entries that a ``TolerantLoader`` ignores because they contain mistakes.
 
     ``empty`` contains the names of config files that are treated as empty, such as ``reward/alive``. ``unused``
-    contains config groups, such as ``reward@env.rewards``, whose ``override`` entries are ignored. ``failed`` names the
-    last config file that Hydra could not load.
+    contains config groups, such as ``reward@env.rewards``, whose ``override`` entries in defaults lists are ignored.
+    ``failed`` names the last config file that Hydra could not load.
     """
 
     empty: set[str] = field(default_factory=set)
@@ -80,7 +80,7 @@ class _TolerantRepository(Repository):
 
 
 class TolerantLoader(Loader):
-    """A Hydra config loader that can ignore config files and ``override`` entries that contain mistakes."""
+    """A Hydra config loader that can ignore broken config files, and wrong ``override`` entries in defaults lists."""
 
     def __init__(self, config_dirs: Sequence[Path], leniency: Leniency) -> None:
         super().__init__(config_dirs)
@@ -90,7 +90,7 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # Use all config folders of the repository that the parent class created, including ``hydra.searchpath``.
+        # The parent class's config repository contains the folders in ``hydra.searchpath``, so wrap this repository.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
@@ -104,7 +104,7 @@ def check(composed: Composed) -> list[ConfigError]:
     files = lists.mounted_files(composed)
     misplaced = lists.check_headers(composed, files)
     if misplaced:
-        # A config file at a wrong key causes many errors about other keys, so report only the wrong key of the file.
+        # A config file at a wrong key causes many errors about other keys, so report only misplaced files.
         return misplaced
     config = lists.without_strays(composed.config, files)
     errors = (
@@ -138,9 +138,9 @@ def check(composed: Composed) -> list[ConfigError]:
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
-    """Remove errors that follow from a misspelled key: ``wieght`` also causes the error that ``weight`` is missing.
+    """Remove errors that another error causes, such as a missing ``weight`` if the config has a misspelled ``wieght``.
 
-    Errors about subkeys of a key that no code reads are removed, too, except for a ``_target_`` in a forbidden package.
+    Also remove errors below a key that no code reads, except errors about a ``_target_`` in a forbidden package.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -154,10 +154,10 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 
 
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
-    """Return whether an invalid config file can be the cause of an error; ``lost`` lists the keys of the file.
+    """Return whether an error can be caused by the missing values of the config keys in ``lost``.
 
-    The entry ``.alive`` in ``lost``, with a leading dot, stands for ``alive`` in any config section. If ``lost``
-    contains an empty text, any key can be missing, so every ``AbsentKey`` error is a consequence.
+    An entry of ``lost`` with a leading dot, such as ``.alive``, means the key ``alive`` in any config section. An empty
+    text in ``lost`` means that the values of all config keys can be missing.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -169,7 +169,7 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
-    """Return whether a config key equals one of ``places`` or is below it; ``.alive`` means ``alive`` at any depth."""
+    """Return whether a config key equals, or is below, a key in ``places``; ``.alive`` means ``alive`` at any depth."""
     return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
@@ -188,7 +188,7 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
 
 @dataclass(frozen=True)
 class _Asset:
-    """The keys of ``env.robot`` that are needed to read the robot's joint and body names."""
+    """The keys of ``env.robot`` that determine the robot's joint and body names."""
 
     asset: str
     base: Literal["auto", "floating", "fixed"] = "auto"
@@ -258,7 +258,7 @@ class _Search:
     loader: TolerantLoader | None = None
 
     def compose(self) -> Composed | None:
-        """Compose the config without the parts that make Hydra fail; return None if Hydra still fails."""
+        """Compose a config without files, overrides, and values that Hydra rejects; return None if this fails, too."""
         for _ in range(_MOST_ATTEMPTS):
             try:
                 return compose(self.overrides, primary=self.primary, config_dirs=self.folders, loader=self._make_loader)
@@ -273,14 +273,14 @@ class _Search:
         return self.loader
 
     def _take_out(self, error: ConfigError) -> bool:
-        """Remove the override, file, or value that caused an error; return False if the cause is unknown."""
+        """Remove the override, file, or value that caused an error; return False if nothing was removed."""
         blamed = {override_of(part) for part in parts(error)} - {None}
         kept = [text for text in self.overrides if text not in blamed]
         if len(kept) < len(self.overrides):
             self.overrides = kept
             return True
         if blamed:
-            return False  # The shell splits `key = value` into three overrides, so the whole text is not in the list.
+            return False  # The shell splits `key = value` into three words, so ``overrides`` lacks the whole text.
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
@@ -299,7 +299,7 @@ class _Search:
         return True
 
     def _places(self, path: str) -> list[str]:
-        """Return the config keys that a missing or invalid file would set; an empty string if it could set any key."""
+        """Return the config keys that a missing or invalid config file could set; an empty text means all keys."""
         group, _, name = path.rpartition("/")
         if self.loader is None:
             return [""]
@@ -330,8 +330,8 @@ def find_mistakes(
 ) -> tuple[Composed | None, list[ConfigError]]:
     """Compose and check a config, and return the config (None if Hydra cannot compose it) and all mistakes.
 
-    ``find_mistakes`` ignores overrides and files that Hydra cannot compose, and checks the remaining config. Errors
-    that can follow from an ignored override or config file are not returned.
+    ``find_mistakes`` ignores overrides and files that Hydra cannot compose, and checks the remaining config. An
+    error is not returned if an ignored override or config file can be the cause of the error.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()

@@ -83,7 +83,7 @@ class Composed:
 
     ``config`` is the resolved tree of plain mappings, without the terms that are null. ``raw`` is the read-only
     OmegaConf config with unresolved ``${...}``; it still contains terms that are null. ``removed_terms`` contains the
-    config paths of the terms that are null. ``hydra`` is the node of the config tree with Hydra's own settings.
+    config paths of the terms that are null. ``hydra`` contains Hydra's own settings, such as ``hydra.searchpath``.
     """
 
     config: dict[str, Any]
@@ -98,17 +98,17 @@ class Composed:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """The sources (files and overrides) of all config values, computed on first use."""
+        """The file or override that set each config value."""
         return trace(self.loader, self.primary, self.parsed)
 
     @cached_property
     def mounts(self) -> list[Mount]:
-        """The config groups in use, except Hydra's own config groups, computed on first access."""
+        """The config groups from which the config selects options, except Hydra's own config groups."""
         return find_mounts(self.loader, self.parsed)
 
     @cached_property
     def raw_tree(self) -> dict[str, Any]:
-        """The config tree with unresolved interpolations, as plain mappings, which callers must not change."""
+        """The config as nested dicts with unresolved interpolations; callers must not change these dicts."""
         tree = OmegaConf.to_container(self.raw, resolve=False)
         return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 
@@ -161,8 +161,8 @@ def compose(
     """Compose the primary config file with overrides, as Hydra does.
 
     A mistake in a config file, an override, or an interpolation raises ConfigError. ``config_dirs`` are the user's
-    config folders. ``loader`` creates the Hydra loader for the config folders. If ``launching`` is true, overrides can
-    contain settings of the launcher that starts a sweep's jobs.
+    config folders. ``loader`` creates the Hydra loader for the config folders. If ``launching`` is true, overrides of
+    Hydra settings such as ``hydra.launcher`` raise no error.
     """
     texts = override_texts(overrides)
     unread = [] if launching else _unread_overrides(texts)
@@ -187,7 +187,7 @@ def compose(
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
-    """Return overrides as a list. A single string ``overrides`` is treated as one override."""
+    """Return overrides as a list of texts; a single text is one override."""
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
@@ -261,7 +261,7 @@ def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
             del parent[keys[-1]]
         else:
             parent[keys[-1]] = override.value()
-    if overrides:  # A recorded config without overrides keeps its terms that are null.
+    if overrides:  # Without overrides, terms that are null stay in the config.
         drop_removed(changed)
     return changed
 
@@ -274,9 +274,9 @@ def require_read(
 ) -> None:
     """Raise ConfigError if an override has no effect, because the calling command does not read its config key.
 
-    The function ``read`` returns the values that the calling command uses from a config tree. An override of a config
+    The function ``read`` takes a config and returns the values that the calling command uses. An override of a config
     key that the calling command uses is valid, even if the override repeats the key's old value. ``instead`` maps a
-    config key to the advice in the error about this key or its subkeys; ``instead[""]`` is for all other keys.
+    config key to the advice for errors about this key or its subkeys; ``instead[""]`` is the advice for all other keys.
     """
     errors: list[ConfigError] = []
     tree: Mapping[str, Any] = recorded
@@ -300,7 +300,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """If a ConfigError in the ``with`` block names no place, let it name the override that set the wrong key."""
+    """If a ConfigError in the ``with`` block names no file or override, add the override that set the wrong key."""
     try:
         yield
     except ConfigError as error:

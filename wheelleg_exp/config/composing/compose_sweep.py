@@ -52,7 +52,7 @@ class _RayLauncher:
 
 
 def _install_command(launcher: str) -> str | None:
-    """Return the command that installs the Python packages of a Hydra launcher; None if they are installed."""
+    """Return the ``pip install`` command for the packages of a Hydra launcher; None if the packages are installed."""
     extra, modules = _NEEDS.get(launcher, ("", ()))
     return None if all(map(_is_installed, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
 
@@ -60,7 +60,7 @@ def _install_command(launcher: str) -> str | None:
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # The parent package of ``module`` is not installed.
+    except ModuleNotFoundError:  # ``find_spec`` raises this error if a parent package is missing.
         return False
 
 
@@ -76,8 +76,8 @@ Progress = Callable[[int, int], None]
 class SweepJob:
     """One job of a sweep.
 
-    ``overrides`` contains all overrides of this sweep job for ``wheelleg train``; ``swept`` contains only the overrides
-    that differ between the jobs. ``digest`` is the SHA-256 of the sweep job's composed config.
+    ``overrides`` contains all overrides of the sweep job; ``swept`` contains only the overrides that differ between
+    jobs. ``digest`` is the SHA-256 of the job's composed config.
     """
 
     overrides: tuple[str, ...]
@@ -116,11 +116,11 @@ def compose_sweep(
 ) -> Sweep:
     """Expand the overrides into jobs like Hydra's basic sweeper, and compose and check the config of every job.
 
-    One ConfigError lists the mistakes of all sweep jobs, each mistake once. ``progress`` is called with the number of
-    checked jobs and the number of all jobs.
+    Raise one ConfigError that lists the mistakes of all sweep jobs; a mistake of several jobs is listed once.
+    ``progress`` is called with the numbers of checked jobs and of all jobs.
     """
     folders = tuple(config_folder(folder) for folder in config_dirs)
-    # Register a config for Hydra's launcher `ray` if the package hydra-ray-launcher is not installed.
+    # Without the package hydra-ray-launcher, Hydra has no config `hydra/launcher/ray`, so register this config.
     if not _is_installed("hydra_plugins.hydra_ray_launcher"):
         ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
     with hydra_globals():
@@ -217,7 +217,7 @@ def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig 
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # Checking each job's config later reports why Hydra could not compose the sweep.
+        return None  # The later check of each job reports why Hydra could not compose the config.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:

@@ -66,7 +66,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
     """Return the file to read for a config such as ``reward/alive``, if several folders contain a file of that name.
 
     A file with the line ``# @replaces reward/alive`` has priority over files of the same name in other config folders.
-    Raise ConfigError unless exactly one of ``files`` lacks a ``# @replaces`` line and at most one has a correct line.
+    Raise ConfigError for a wrong or repeated ``# @replaces`` line, and for two equally named files without this line.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -97,7 +97,7 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# Hydra and OmegaConf raise these exceptions for invalid configs (RecursionError for a cycle of defaults lists).
+# Hydra and OmegaConf raise `COMPOSING_ERRORS` for invalid configs, such as RecursionError for cyclic defaults lists.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -162,7 +162,7 @@ class Repository(CachingConfigRepository):
         return super().load_config(config_path)
 
     def files(self, config_path: str) -> list[Path]:
-        """Return the files of a config, such as ``reward/alive``, in all config folders; Hydra reads the first one."""
+        """Return the files of one name, such as ``reward/alive.yaml``, in all config folders; Hydra reads the first."""
         name = ConfigSource._normalize_file_name(config_path)
         folders = [Path(s.path) for s in self.get_sources() if s.scheme() == "file"]
         return [folder / name for folder in folders if (folder / name).is_file()]
@@ -221,7 +221,7 @@ def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Pat
 
 
 def _line_of_message(file: Path, message: str) -> int | None:
-    """Find the line of a file that an error message quotes; None if the quoted text is not in exactly one line."""
+    """Return the number of the only line that contains a text quoted in an error message, or None."""
     lines = _lines_of(file)
     for pair in re.findall(r"'([^']+)'|\"([^\"]+)\"", message):
         hits = [number for number, line in enumerate(lines, 1) if (pair[0] or pair[1]) in line]
@@ -264,11 +264,11 @@ class Loader(ConfigLoaderImpl):
         compose = super()._compose_config_from_defaults_list
         first, *others = [compose([default], repo) for default in defaults]
         try:
-            # Hydra merges file by file, and OmegaConf then visits the whole tree after each of sixty files.
+            # Merge all files at once, because OmegaConf visits the whole config tree after each merge.
             with flag_override(first, "no_deepcopy_set_nodes", True):
                 first.merge_with(*others)
         except OmegaConfBaseException:
-            return compose(defaults, repo)  # Hydra's error names the file.
+            return compose(defaults, repo)  # Hydra's own method raises an error that names the invalid file.
         return first
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:

@@ -28,7 +28,7 @@ _IN_FILE = re.compile(r"^In '?([^':]+)'?:")
 
 
 class NowhereMounted(ConfigError):
-    """An ``override`` entry in a defaults list names a config group from which no defaults list selects an option."""
+    """A defaults list overrides the option of a config group, but no defaults list selects an option of this group."""
 
 
 def where_of(override: Override) -> str:
@@ -92,7 +92,7 @@ def _place_in_defaults(repository: Repository, message: str, path: str) -> str |
 
 
 def place_of_option(repository: Repository, parent: str, path: str) -> str | None:
-    """Return the line of the option ``path`` in a config's defaults list; None if the config file was not read."""
+    """Return the file and line at which a config's defaults list names the option ``path``, or None."""
     loaded = repository.loaded.get(parent)
     return show_file(loaded.file, _defaults_line(loaded.file, path)) if loaded is not None else None
 
@@ -174,7 +174,7 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
 
 
 def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntry]]:
-    """Yield each config file, except the primary config, with each entry of its defaults list."""
+    """Yield each entry of the defaults lists of all config files except the primary config, with the entry's file."""
     for path, loaded in repository.loaded.items():
         if "/" in path:
             yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))

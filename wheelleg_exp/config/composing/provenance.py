@@ -26,8 +26,8 @@ MISSING = "???"
 class Source:
     """The source of one config value: a line of a file, or an override.
 
-    ``value`` is the config value with unresolved ``${...}``. ``package`` is the key of the config section into which
-    Hydra puts the content of ``file``. ``shadowed`` lists earlier, replaced sources of the value, oldest first.
+    ``value`` is the config value with unresolved interpolations. ``package`` is the key of the config section into
+    which Hydra puts the content of ``file``. ``shadowed`` lists the sources that this source replaced, oldest first.
     """
 
     path: str
@@ -67,25 +67,25 @@ class Provenance(Mapping[str, Source]):
         return len(self._by_path)
 
     def below(self, path: str) -> list[Source]:
-        """Return the sources of the config value at ``path``, or of all values below ``path``."""
+        """Return the sources of all config values at or below the config key ``path``."""
         keys = split_path(path)
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return a ``Source``, which names the override, for each removed config value at or below ``path``."""
+        """Return a ``Source`` for each config key at or below ``path`` that an override removed."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set the config key ``path``.
 
-        For a config section, return where the section's first value was set. For a missing key, return where the
-        nearest parent section was set.
+        For a config section, return the source of the section's first value. For a missing key, return the source of
+        the nearest existing section that would contain the key.
         """
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # For a missing key such as `env.x`, the place of the whole section `env` would not help a user.
+        # If `env.x` is missing, return None, because the place of the whole section `env` would not help a user.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -124,7 +124,7 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            # After a key was deleted, keep the other keys of its section next to each other and in their order.
+            # When a key is deleted, group the section's other keys together in ``sources``, in unchanged order.
             inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
@@ -133,7 +133,7 @@ class _Replay:
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Replace old sources by a new source, and keep the order of the config's keys."""
+        """Replace the sources of the keys ``hidden`` by one source, at the first of their positions."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
@@ -143,7 +143,7 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # An empty mapping does not count as a replaced value, because a later config file only adds keys to it.
+    # Omit an empty mapping from the history, because later config files only add keys to an empty mapping.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
@@ -151,7 +151,7 @@ def _history(source: Source) -> tuple[Source, ...]:
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
     """Return the source of each config value, found by applying the config files and overrides one by one.
 
-    Before this call, ``loader`` must have composed the config ``primary`` with the overrides ``parsed``.
+    Call ``trace`` only after ``loader`` has composed the config ``primary`` with the overrides ``parsed``.
     """
     replay = _Replay()
     with hydra_globals():
@@ -217,8 +217,8 @@ class Mount:
 
     ``name`` is the name of the config group in an override, such as ``reward@env.rewards``. ``package`` is the config
     key below which the group's options are; an empty key means the top of the config. ``choices`` lists all selections
-    of options from the config group, in the order in which Hydra applies them. Each selection of options replaces the
-    earlier one; an override with ``+`` adds an option instead.
+    of options from the config group, in the order in which Hydra applies them. Each selection replaces the options of
+    the earlier selections, but an override with ``+`` adds an option.
     """
 
     name: str

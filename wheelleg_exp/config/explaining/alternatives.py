@@ -1,8 +1,8 @@
 """List the values that a config key accepts, for ``wheelleg explain`` and for shell completion.
 
-The module ``alternatives`` does not import torch, because shell completion must be fast. A shell completion replaces
-the whole command-line argument. A completion that ends in ``.``, ``=``, ``,``, or ``[`` is only the beginning of a
-command-line argument, which the user must continue.
+The module ``alternatives`` does not import torch, because shell completion must be fast. A completion replaces the
+whole unfinished command-line argument. If the completion ends in ``.``, ``=``, ``,``, or ``[``, the user must type the
+rest of the argument.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from wheelleg_exp.user_exceptions import importing
 class Alternatives:
     """The values that a config key accepts, described as text and, if possible, as a list.
 
-    ``values`` is empty if the valid values of the config key cannot be listed. ``keys`` lists each optional subkey that
-    the config does not set, with the subkey's default value.
+    ``values`` is empty if the valid values of the config key cannot be listed. ``keys`` contains the name and
+    the default value of each optional subkey that the config does not set.
     """
 
     type: str = ""
@@ -50,7 +50,7 @@ class Alternatives:
 
 
 def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
-    """Return the valid values of the config key ``keys``."""
+    """Return the valid values of a config key; ``keys`` is, for example, ``("env", "num_envs")``."""
     node = at(tree, keys)
     below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
     unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
@@ -114,7 +114,7 @@ def siblings(target: str) -> list[str]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # The command `wheelleg check` reports a failed import.
+    except Exception:  # `wheelleg check` reports why the module cannot be imported.
         return []
     return [
         f"{module_name}.{name}"
@@ -145,8 +145,8 @@ class CompletionView:
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
     """Return the parts of a composed config that shell completion needs, from the cache if possible.
 
-    If Hydra rejects the overrides, compose with only the override ``task=…``, or otherwise without overrides. Return
-    None if Hydra cannot compose the primary config even without overrides.
+    If Hydra rejects the overrides, use only the override ``task=…``, or otherwise no overrides.
+    Return None if Hydra cannot compose the primary config even without overrides.
     """
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     stats = {str(path): path.stat() for folder in folders for path in sorted(folder.rglob("*.yaml"))}
@@ -155,7 +155,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
     file = cache_dir() / "completion" / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
-    from wheelleg_exp.config.composing.compose import compose  # Without a cached config, import Hydra, which is slow.
+    from wheelleg_exp.config.composing.compose import compose  # If the cache lacks the config, import Hydra (slow).
 
     made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
@@ -223,7 +223,7 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return config keys that start with ``text``; unless ``removable`` is true, append ``.`` or ``=`` to each key."""
+    """Complete ``text`` to config keys such as ``env.`` and ``seed=``; if ``removable`` is true, add no ``=``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
     found = []

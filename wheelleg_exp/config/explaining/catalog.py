@@ -112,7 +112,7 @@ TASK_GROUP = "task"
 class Entry:
     """One option of a config group.
 
-    ``help`` describes the config group's option in one line; it is empty if the option's file has no comment.
+    ``help`` is the first line of the comment at the top of the option's file, or empty without a comment.
     ``target`` is the ``_target_`` in the YAML file of a config group's option, or None if the file has no ``_target_``.
     """
 
@@ -168,7 +168,7 @@ def _entry(loader: Loader, group: str, name: str) -> Entry:
     found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
     try:
         file = chosen_file(config_path, found)
-    except ConfigError:  # A list of options also contains files that Hydra cannot compose.
+    except ConfigError:  # If files of the same name conflict, list the first.
         file = found[0]
     except IndexError:
         file = Path(f"{config_path}.yaml")

@@ -23,7 +23,7 @@ ABSENT = _Absent()
 
 @dataclass(frozen=True)
 class Change:
-    """One key at which two config trees differ; ``a`` or ``b`` is ``ABSENT`` if tree A or B lacks the key."""
+    """A config key whose values ``a`` and ``b`` differ in two configs; ``ABSENT`` means that a config lacks the key."""
 
     keys: Keys
     a: Any
@@ -63,7 +63,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# If two configs order the terms of a section differently, ``ORDER`` states the consequence for this section.
+# For each config section, ``ORDER`` states the effect of a different order of the section's terms.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -76,7 +76,7 @@ _LAID_OUT = ("actions", "observations")
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two configs that the function ``compare`` compares.
+    """One of two compared configs, such as the config of a run or of a task.
 
     ``where`` is a function that maps a config key to the file and line, or the override, that set or removed the key.
     ``facts`` describes a run's source code, package versions, and hardware.
@@ -118,7 +118,7 @@ class FactChange:
 
 @dataclass(frozen=True)
 class Difference:
-    """All differences between two configs; the object is false in a boolean context if the configs are equal."""
+    """All differences between two configs; ``bool(difference)`` is false if the configs are equal."""
 
     terms: tuple[PlacedChange, ...]
     parameters: tuple[PlacedChange, ...]
@@ -129,7 +129,7 @@ class Difference:
 
 
 def compare(a: Side, b: Side) -> Difference:
-    """Return the differences between two configs; skip top-level sections that only one of both configs has."""
+    """Return the differences between two configs; skip top-level sections that only one config has."""
     changes = [change for key in a.tree if key in b.tree for change in _walk(a, b, (str(key),))]
     terms = tuple(change for change in changes if change.is_term)
     return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
@@ -172,7 +172,7 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
 
 
 def _makes(value: Any, default: Any) -> bool:
-    """Return whether a config value equals a default, or is the ``_target_`` node that builds the default object."""
+    """Return whether a config value equals a default value, or is a ``_target_`` node that builds an equal object."""
     target = key_slots.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)

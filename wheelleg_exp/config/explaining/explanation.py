@@ -58,7 +58,7 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # If the key has subkeys, ``source.line`` can be the line of a subkey, so find the line of the key itself.
+            # For a config section, ``source.line`` can be the line of a subkey, so look up the section's own line.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -89,7 +89,7 @@ _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 class Reference:
     """One config key that an interpolation refers to.
 
-    ``raw`` is the unresolved value of the config key if the value is an interpolation, otherwise None.
+    If the value of this config key also contains an interpolation, ``raw`` is the unresolved value, otherwise None.
     """
 
     path: str
@@ -106,7 +106,7 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
         here, text = waiting.pop(0)
         for match in _REFERENCE.finditer(str(text)):
             name = match.group(1).strip()
-            dots = len(name) - len(name.lstrip("."))  # The interpolation ``${.x}`` is the key x of the same section.
+            dots = len(name) - len(name.lstrip("."))  # ``${.x}`` refers to the key x of the interpolation's section.
             found = (*here[: len(here) - dots], *split_path(name[dots:])) if dots else split_path(name)
             if found in seen:
                 continue
@@ -125,10 +125,10 @@ Kind = Literal["value", "term", "section", "group", "not set", "not selected", "
 class Explanation:
     """The explanation of one key.
 
-    ``value`` is the resolved value of a config key, or the default if the config does not set the key. ``raw`` is the
-    unresolved config value if it contains ``${...}``, otherwise None. ``sources`` lists the files and overrides that
-    set or removed the config key, oldest first. ``mount`` is the config group, such as ``reward``, that can set
-    ``key``; ``option`` is one of its options.
+    ``value`` is the resolved value of a config key, or the default if the config does not set the key. If the value
+    contains an interpolation, ``raw`` is the unresolved value, otherwise None. ``sources`` lists the files and
+    overrides that set or removed the config key, oldest first. ``mount`` is the config group that can set ``key``, such
+    as ``reward``; ``option`` is the option of this group, such as ``alive``.
     """
 
     key: str
@@ -148,9 +148,9 @@ class Explanation:
 
 
 def explain_key(composed: Composed, key: str) -> Explanation:
-    """Explain a config key or a config group of a composed config. A valid config key that is not set is explained too.
+    """Explain a config key or a config group of a composed config, or a valid key that the config does not set.
 
-    A config key that does not exist and that no code reads raises ConfigError.
+    Raise ConfigError for a key that the config does not contain and that no code reads.
     """
     tree = composed.raw_tree
     keys, found = split_path(key), composed.mounts

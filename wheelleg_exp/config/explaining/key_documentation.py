@@ -13,7 +13,7 @@ from typing import Any
 
 from wheelleg_exp.config.tree_lookup import yaml_node
 
-# ``FIELDS`` contains the description and default of each term field that managers read; ``...`` means required.
+# ``FIELDS`` maps each term field that managers read to its description and default (``...`` if it is required).
 FIELDS: dict[str, tuple[str, Any]] = {
     "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
     "time_out": ("whether the episode is only cut off: it ends, but has not failed", False),

@@ -18,9 +18,9 @@ class TermShape:
     """One term of an observation group, or one action term.
 
     ``width`` is the number of components of the observation or action in one control step. ``history`` is the number of
-    control steps that an observation term stores; 0 means only the present control step. ``start`` and ``stop`` bound
-    the term's slice of the observation or action vector; None if the term has no single slice. ``joints`` contains the
-    joints that an action term drives, in the order of the term's components.
+    control steps that an observation term stores; 0 means only the present control step. The term's components
+    are the slice ``start:stop`` of the observation or action vector; None if there is no such slice. ``joints``
+    contains the joints that an action term drives, in the order of the term's components.
     """
 
     name: str
