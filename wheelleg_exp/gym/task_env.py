@@ -41,7 +41,7 @@ def task_env(
             if not concatenated:
                 key = f"env.observations.{group}.concatenate_terms"
                 raise ConfigError(
-                    "Gymnasium needs one array for each observation group, so the terms must be concatenated",
+                    "Gymnasium needs one array per observation group, so the group's terms must be concatenated",
                     key=key,
                     expected="true",
                 )

@@ -131,7 +131,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         return self._pictures.draw()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return an attribute or a method's result for each environment, as ``SyncVectorEnv.call`` does."""
+        """Return the attribute ``name``, or the result of the method ``name``, once for each environment."""
         found = getattr(self, name)
         answer = found(*args, **kwargs) if callable(found) else found
         return answer if name == "render" and answer is not None else (answer,) * self.num_envs

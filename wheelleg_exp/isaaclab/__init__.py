@@ -4,7 +4,7 @@ For example, the line ``from isaaclab.managers import SceneEntityCfg`` becomes `
 import SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
 Only the modules ``managers`` and ``utils`` have source files. All other modules, such as ``envs``, only give Isaac
-Lab's names to existing classes, and are created from ``_MODULES`` when this package is imported.
+Lab's names to existing classes. The import of ``wheelleg_exp.isaaclab`` creates these modules from ``_MODULES``.
 """
 
 from __future__ import annotations

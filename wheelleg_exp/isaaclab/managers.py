@@ -63,8 +63,8 @@ class CommandTermCfg:
 class ActionTerm(OfEnv, managers.ActionTerm):
     """Base class of action terms with Isaac Lab's constructor ``(cfg, env)``.
 
-    A subclass of ``ActionTerm`` defines ``action_dim``, ``raw_actions``, and ``processed_actions``. ``cfg`` is an
-    object of the class in its type annotation, and contains the parameters from the YAML config.
+    A subclass of ``ActionTerm`` defines ``action_dim``, ``raw_actions``, and ``processed_actions``. The type annotation
+    of ``cfg`` names the class of ``cfg``; the YAML config gives the attributes of ``cfg``.
     """
 
     def __init__(self, cfg: ActionTermCfg, env: Env) -> None:

@@ -49,8 +49,7 @@ class ActionTerm(TermBase):
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
     """Return an error for each joint whose target two terms set: only the later term would have an effect.
 
-    Each tuple in ``claims`` has an action term's config key, the kind of its joint targets (such as ``position``), and
-    the names of its joints.
+    ``claims`` has a tuple for each action term: config key, kind of joint targets (such as ``position``), joint names.
     """
     by_kind: dict[str, list[tuple[str, str, Sequence[str]]]] = {}
     for path, kind, joints in claims:

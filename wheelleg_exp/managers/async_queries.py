@@ -12,7 +12,7 @@ import torch
 class AsyncMaskQuery:
     """Converts GPU masks (N,) of ended and failed environments to indices, with asynchronous copies to the host.
 
-    In each control step, call the methods in the order ``start``, ``ids``, ``late``.
+    In each control step, callers must call ``start``, then ``ids``, then ``late``.
 
     Attributes:
         answers_late: whether the method ``ids`` can omit failed environments, which ``late`` returns; True on a GPU.
@@ -31,7 +31,7 @@ class AsyncMaskQuery:
         self._has_late = False
 
     def start(self, ended: torch.Tensor, failed: torch.Tensor) -> None:
-        """Start to copy ``ended`` (N,) and its subset ``failed`` (N,) to the host."""
+        """Start to copy the masks ``ended`` and ``failed`` (N,) to the host; each failed environment is also ended."""
         self._masks[0].copy_(ended, non_blocking=True)
         self._masks[1].copy_(failed, non_blocking=True)
         self._record(0)
@@ -40,7 +40,7 @@ class AsyncMaskQuery:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
         ``also_failed`` (N,) is a mask of further failed environments, such as environments with NaN rewards. On a GPU
-        with ``at_once=False``, the result omits environments in ``also_failed``, to avoid a wait for the GPU.
+        with ``at_once=False``, only ``late`` returns the environments in ``also_failed``, so that ``ids`` is faster.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -80,8 +80,8 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    For a GPU tensor, ``is_finite`` usually returns True without waiting for the GPU. After a later call has detected
-    NaN or inf, the next 256 calls of ``is_finite`` wait for the GPU and return exact results.
+    For a GPU tensor, ``is_finite`` usually returns True without waiting for the GPU. Once a call detects NaN or inf,
+    the next 256 calls of ``is_finite`` wait for the GPU and are exact.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
@@ -93,12 +93,12 @@ def is_finite(total: torch.Tensor) -> bool:
 
 
 def note(total: torch.Tensor) -> None:
-    """Add a GPU tensor with one element to the tensors that ``is_calm`` checks for NaN and inf."""
+    """Let later calls of ``is_calm`` check a GPU tensor with one element for NaN and inf."""
     _watch(total.device).note(total)
 
 
 def is_calm(device: torch.device) -> bool:
-    """Return True if no recent check has found NaN or inf on a GPU; always return False for a CPU."""
+    """Return True if no recent check found NaN or inf in tensors on a GPU; always return False for a CPU."""
     return device.type == "cuda" and _watch(device).is_calm()
 
 
@@ -119,11 +119,11 @@ class _FiniteWatch:
         self._checks, self._waits = 0, 0
 
     def note(self, total: torch.Tensor) -> None:
-        """Add ``total * 0`` to a sum on the GPU, because NaN and inf times 0 give NaN, but finite numbers give 0."""
+        """Add ``total * 0`` to a sum on the GPU: NaN if ``total`` is NaN or inf, otherwise 0."""
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return False for ``_PATIENCE`` calls after NaN or inf was found on the GPU, otherwise True."""
+        """Return True, but False in the first ``_PATIENCE`` calls after NaN or inf was found on the GPU."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()

@@ -20,9 +20,8 @@ from wheelleg_exp.terms.term_errors import described
 class CommandTerm(TermBase):
     """Base class of command terms, with a resampling timer and metrics of the command's tracking error.
 
-    A command's metric is the sum of ``error * dt`` over an episode, divided by the upper bound of
-    ``resampling_time_range``. If ``logs_last_error`` is True, a command's metric is the tracking error at the end of an
-    episode.
+    A command's metric is the sum of ``tracking error * dt`` over an episode, divided by the longest resampling time. If
+    ``logs_last_error`` is True, a command's metric is the tracking error at the end of an episode.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -90,7 +89,7 @@ class CommandTerm(TermBase):
         """
 
     def may_expire(self, dt: float) -> bool:
-        """Return whether a resampling timer may expire within ``dt`` seconds, without waiting for a GPU."""
+        """Return whether any environment's resampling timer may expire within ``dt`` seconds; do not wait for a GPU."""
         return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -163,7 +162,7 @@ class CommandManager(ManagerBase):
 
     def may_draw(self, dt: float) -> bool:
         """Return whether a new command may be drawn in the next ``dt`` seconds, without waiting for a GPU."""
-        # Build a list: each call of ``may_expire`` advances a timer, but `any` stops a generator at the first True.
+        # Build a list, because each term's ``may_expire`` must run, but `any` stops a generator at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
     def compute(self, dt: float, *, may_draw: bool = True) -> None:
@@ -174,7 +173,7 @@ class CommandManager(ManagerBase):
                     term.may_draw = False
                 self.step_errors[name] = term.compute(dt)
                 if not may_draw:
-                    del term.may_draw  # Delete the attribute ``may_draw``, because a checkpoint would save it.
+                    del term.may_draw  # Checkpoints must not save ``may_draw``.
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands, and return the commands' metrics over the episodes that ended."""

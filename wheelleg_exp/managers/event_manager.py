@@ -73,7 +73,7 @@ class EventManager(ManagerBase):
         """
         if mode == "interval":
             raise ValueError(
-                "apply() cannot run the mode 'interval', because step() runs interval events when their timers expire"
+                "apply() cannot run events of the mode 'interval', which step() runs when their timers expire"
             )
         if mode not in (*EVENT_MODES, *self._modes):
             nearest = nearest_name(mode, self._modes)
@@ -112,7 +112,7 @@ class EventManager(ManagerBase):
             ids = ids_where(self.fired[name])
             if not len(ids):
                 continue
-            # With ``is_global_time``, all environments share a timer with one element, and ``ids`` is [0].
+            # If ``is_global_time`` is True, all environments share one timer, and ``ids`` is only [0].
             self._draw_timer(name, term, ids)
             self._run(name, term, None if term.fields.get("is_global_time", False) else ids)
             ran = True

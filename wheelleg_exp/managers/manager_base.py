@@ -72,7 +72,7 @@ class ManagerTermBase(OfEnv, TermBase):
 
 @dataclass
 class Term(Kept):
-    """A manager term with its function or object, called as ``func(env, **params)`` or, for an object, ``func(env)``.
+    """A manager term; the manager calls a function as ``func(env, **params)``, and an object as ``func(env)``.
 
     Attributes:
         path: the config key of the term.
@@ -146,12 +146,12 @@ class Term(Kept):
             yield
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the term's settings and the state of the term's object, which a checkpoint saves."""
+        """Return the settings and the state of this manager term, which a checkpoint saves."""
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore a manager term's settings, and the state of the term's object, from a checkpoint."""
+        """Restore the settings and the state of this manager term from a checkpoint."""
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()
@@ -167,12 +167,12 @@ class Term(Kept):
         """Note the settings of the term from the config: later differences are state."""
         if self.settings is None:
             params = self.params if self._make is None or self._keeps_params else self.arguments
-            # Skip modifiers and noise, because ``ObservationTerm.state_dict`` saves their state.
+            # ``ObservationTerm.state_dict`` saves the state of modifiers and noise.
             skip = ("modifiers", "noise")
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
     def take_arguments(self) -> None:
-        """Apply changed constructor arguments to the term object, without changing the object's state."""
+        """If constructor arguments of the term's object have changed, update the object, but keep its state."""
         if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
         assert self.stateful is not None
@@ -180,9 +180,9 @@ class Term(Kept):
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Create the term's object with the function ``make``, and store the object as ``func``.
+        """Create the object of this term by a call of ``make``, and store the object as ``func``.
 
-        If ``keeps_params`` is True, each call of the object gets the term's parameters, as in Isaac Lab.
+        If ``keeps_params`` is True, the term's parameters are passed to each call of the object, as in Isaac Lab.
         """
         self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
@@ -252,7 +252,7 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Store a term's settings; if the term's ``func`` is a class, replace ``func`` by an object of this class."""
+    """Create the object of a term whose ``func`` is a class, and store the term's settings."""
     kind: Any = term.func
     if not inspect.isclass(kind):
         term.bound()
@@ -263,7 +263,7 @@ def instantiate_term(term: Term, env: Env) -> None:
 
     def make() -> TermBase:
         node = TermNode(term.name, term.path, term.target, {}, term.arguments)
-        for error in parameter_errors("commands", node, kind):  # In the section "commands", any name is valid.
+        for error in parameter_errors("commands", node, kind):  # The section "commands" reserves no parameter names.
             raise error
         with term.blamed():
             arguments: dict[str, Any] = {"cfg": term}

@@ -24,7 +24,7 @@ POLICY = "agent.actor"
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
-    """Return whether the sum of all ``sums`` is NaN or inf. Sums of large finite numbers can also be inf."""
+    """Return whether the given numbers contain NaN or inf, or whether their sum overflows to inf."""
     return not is_finite(functools.reduce(torch.add, sums))
 
 
@@ -36,9 +36,9 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
     """Return a dictionary with the entries ``keys`` and ``evidence`` about NaN or inf in the environments ``env_ids``.
 
-    ``keys`` maps each failed environment's index to the config keys of the terms with NaN or inf. ``evidence`` contains
-    the states of the failed environments. If an environment's physics failed, ``keys`` lists no reward terms, because
-    NaN in the physics makes rewards NaN.
+    ``keys`` maps each failed environment's index to the config keys of the terms with NaN or inf. The entry
+    ``evidence`` contains the states of the failed environments. If an environment's physics fails, its rewards can
+    become NaN, too, but ``keys`` then lists no reward terms.
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
     chosen = set(env_ids.tolist())
@@ -53,10 +53,10 @@ def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
 def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
     """Return the state of the first ``MOST_SAVED`` of the environments ``ids``: arrays by name, one row for each.
 
-    The tensor ``state`` is the present state of the physics engine. Because the engine resets a failed simulation,
-    ``motion_at_start`` has the positions and velocities from the start of the control step. Entries such as
-    ``model.body_mass`` are fields of the MuJoCo model that events changed. ``more`` contains further tensors (N, ...),
-    of which the rows of ``ids`` are also returned.
+    The array ``state`` is the present state of the physics engine. Because the engine resets a failed simulation,
+    ``motion_at_start`` has the positions and velocities from the start of the control step. Arrays such as
+    ``model.body_mass`` are fields of the MuJoCo model that events changed. The result also contains the rows ``ids`` of
+    the tensors (N, ...) in ``more``.
     """
     ids = ids[:MOST_SAVED].to(env.device)
     scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
@@ -78,13 +78,13 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
     """Raise SimulationFailure if the event at the config key ``path`` wrote NaN or inf in the environments ``ids``.
 
-    ``asked`` names the fields of the MuJoCo model and the external wrenches that the event may have changed.
+    Each name in ``asked`` is a field of the MuJoCo model, or an external wrench, that the event may have changed.
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
-        before = set(ids_where(env.scene.unstable()).tolist())  # Exclude environments that failed before the event.
+        before = set(ids_where(env.scene.unstable()).tolist())  # Do not blame the event for earlier failures.
         for name, values in written.items():
             bad = set(failed_rows(values).tolist()) - before
             bad &= bad if ids is None else set(ids.tolist())
@@ -107,8 +107,7 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
     """Raise SimulationFailure if observations contain NaN or inf.
 
     The raised SimulationFailure names the first observation term with NaN or inf. ``only`` (N,) bool selects
-    environments. If ``is_noted`` is True, ``note_observations`` has already started a check of the present
-    observations.
+    environments. Set ``is_noted`` if ``note_observations`` was called for the present observations.
     """
     if is_noted and is_calm(env.device):
         return

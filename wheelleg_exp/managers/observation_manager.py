@@ -22,7 +22,7 @@ _SLICE = 100  # bytes per slice object
 
 
 class ObservationManager(Kept):
-    """Groups of observation terms. The attribute ``obs_buf`` holds the last result of ``compute``."""
+    """Groups of observation terms. ``obs_buf`` contains the observations that ``compute`` returned last, by group."""
 
     def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
@@ -36,7 +36,7 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.in_masks = False  # If ``in_masks`` is True, masks select environments, as CUDA graphs require.
+        self.in_masks = False  # CUDA graphs require ``in_masks`` = True: masks, not indices, select environments.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
@@ -60,7 +60,7 @@ class ObservationManager(Kept):
 
     @property
     def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
-        """Shape of each term's observation by group, without the dimension of the environments."""
+        """Shapes of the observation terms, as one list per group; shapes omit the dimension of the environments."""
         return {group: [term.shape for term in terms.values()] for group, terms in self._groups.items()}
 
     @property
@@ -76,10 +76,10 @@ class ObservationManager(Kept):
         return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:
-        """Return each term's slice of a concatenated observation; raise ValueError if a term has several slices."""
+        """Return each term's slice of a group's observation; raise ValueError if a term has more than one slice."""
         parts = self.term_parts(group)
         if any(len(found) > 1 for found in parts.values()):
-            raise ValueError(f"a term of observation group '{group}' has several slices, because history_order is time")
+            raise ValueError(f"with history_order 'time', a term of observation group '{group}' has a slice per step")
         return {name: found[0] for name, found in parts.items()}
 
     def part(self, group: str, term: str, value: Group) -> torch.Tensor:
@@ -97,7 +97,7 @@ class ObservationManager(Kept):
         return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
     def distinct(self) -> list[Group]:
-        """Return the last observation of each group that is not just the beginning of another group's observation."""
+        """Return the last observations; omit each group whose observation is the beginning of a longer group's one."""
         return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
 
     def sample_between(self) -> None:
@@ -117,7 +117,7 @@ class ObservationManager(Kept):
             pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
             if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
                 self._unshare(group)
-        # Compute the groups in ``_prefixes`` last, because they copy their observations from longer groups.
+        # Compute longer groups first, because the groups in ``_prefixes`` copy the observations of longer groups.
         order = sorted(self._groups, key=lambda group: group in self._prefixes)
         found = {group: self._computed(group, first, values) for group in order}
         self.obs_buf = {group: found[group] for group in self._groups}
@@ -267,7 +267,7 @@ def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
-    # Each number in a history needs two float32 values per environment, and two int64 indices for all environments.
+    # Each number in a history takes 8 bytes per environment, and 16 bytes for two indices.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
     require_memory(need, key or longest.term.path, what)

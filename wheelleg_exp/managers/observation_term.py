@@ -36,7 +36,8 @@ class Values:
 class ObservationTerm(Kept):
     """One observation term, computed in the order ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
-    ``corrupt`` is the setting of the observation group that enables noise. ``history_length`` 0 means no history.
+    ``corrupt`` is the observation group's setting ``enable_corruption``, which turns noise on. ``history_length`` 0
+    means no history.
     """
 
     outside_graphs = ("_part_forms", "width", "shape", "sample_shape", "history_length", "_flatten", "_same_sample")
@@ -91,7 +92,7 @@ class ObservationTerm(Kept):
     def share(self, others: Iterable[ObservationTerm]) -> None:
         """Find a term in ``others`` with the same function and equal parameters, and reuse its observations.
 
-        Observations of terms with state or random numbers are not reused.
+        A term with state or random numbers always computes its own observations.
         """
         term = self.term
         if term.stateful is not None or term.generator is not None:
@@ -104,7 +105,7 @@ class ObservationTerm(Kept):
                 return
 
     def _processes_as(self) -> Any:
-        """Return clip and scale for a comparison of two terms, or a unique object if samples cannot be shared."""
+        """Return equal objects for two terms only if both terms clip and scale their values in the same way."""
         plain = not self._modifiers and self._noise is None and self.delay is None
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
 
@@ -121,7 +122,7 @@ class ObservationTerm(Kept):
     def sample(self, values: Values) -> torch.Tensor:
         """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
 
-        The returned sample is also stored in ``values``, so that equal terms can reuse it.
+        ``values`` stores the sample for other terms with the same function and equal parameters.
         """
         owner = self
         if self.same_as is not None and self.is_shared():
@@ -216,7 +217,7 @@ class ObservationTerm(Kept):
 
 
 def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
-    """Return whether two terms have equal parameters. Mutable values, such as lists, count as unequal."""
+    """Return whether two terms have equal parameters. Lists and other mutable values always count as different."""
     for name, value in mine.items():
         other = theirs.get(name)
         if isinstance(value, SceneEntityCfg) and isinstance(other, SceneEntityCfg):
@@ -266,10 +267,10 @@ class GroupLayout:
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
         self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
-        self._dim += self._dim >= 0  # ``concatenate_dim`` does not count the dimension of the environments.
+        self._dim += self._dim >= 0  # In ``concatenate_dim``, 0 is the first dimension after the environments.
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
-        """Flatten a term's history (N, H, ...) if necessary; ``join`` flattens histories that are ordered by time."""
+        """Flatten a term's history (N, H, ...), unless ``join`` will interleave the histories of all terms by step."""
         return history if self.by_time else term.shown(history)
 
     def join(self, values: dict[str, torch.Tensor]) -> Group:

@@ -23,7 +23,7 @@ _FIRST_ROOM = 64  # rows
 
 
 class Rows:
-    """Stores the rows (N, …) of one recorded quantity; a row is deleted once it belongs to no current episode."""
+    """Stores a recorded quantity as rows (N, …), and deletes rows that are older than all current episodes."""
 
     def __init__(self, num_envs: int) -> None:
         self._num_envs = num_envs
@@ -56,7 +56,7 @@ class Rows:
         return self._rows[self._starts[env_id] : self._count, env_id]
 
     def begin(self, ids: np.ndarray) -> None:
-        """Start new episodes of the environments ``ids``, so that rows recorded so far belong to earlier episodes."""
+        """Assign the rows recorded from now on to new episodes in the environments ``ids``."""
         self._starts[ids] = self._count
 
     def _make_room(self, value: np.ndarray) -> None:
@@ -101,8 +101,8 @@ class RecorderTerm(TermBase):
     """Records quantities by key. A subclass of the recorder class overrides only the hooks that the subclass needs.
 
     A recorder's hook returns a key and a tensor with one row for each environment, or a key and a mapping of tensors.
-    For example, the key ``a`` with the mapping ``{"b": tensor}`` records the tensor as ``a/b``. A hook that records
-    nothing returns (None, None).
+    For example, the key ``a`` with the mapping ``{"b": tensor}`` records the tensor as ``a/b``. A hook returns (None,
+    None) if it records nothing.
 
     Attributes:
         reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before the
@@ -186,7 +186,7 @@ class RecorderManager(ManagerBase):
             manager.obs_buf = present
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> None:
-        """Finish those episodes of ``env_ids`` that had at least one step and whose start was recorded."""
+        """Finish the episodes in ``env_ids``, but drop episodes without a step or without a recorded start."""
         if not self._terms or self._options.export_mode == "none":
             return
         self._finish_episodes(env_ids, self._only("record_pre_reset", env_ids))
@@ -220,8 +220,8 @@ class RecorderManager(ManagerBase):
 
         With ``export_mode: all``, the only group of episodes is ``episodes``; otherwise, the groups are ``succeeded``
         and ``failed``. ``episode/env``, ``episode/length``, ``episode/last_step``, and ``episode/success`` are arrays
-        with one number per episode. ``episode/length`` and ``episode/last_step`` are in control steps, the latter since
-        construction of the environment. Each recorded quantity is one array with the rows of all episodes;
+        with one number per episode. ``episode/length`` counts an episode's control steps, ``episode/last_step`` all
+        control steps of the environment so far. Each recorded quantity is one array with the rows of all episodes;
         ``rows/<key>`` has the number of rows per episode.
         """
         found = {group: _joined(episodes) for group, episodes in self._finished.items()}
@@ -229,7 +229,7 @@ class RecorderManager(ManagerBase):
         return found
 
     def forget(self) -> None:
-        """Omit the current episodes from the dataset, after a state of the environment was loaded."""
+        """Omit current episodes from the dataset; after a state was loaded, their first steps are missing."""
         self._is_whole[:] = False
 
     def state_dict(self) -> dict[str, Any]:

@@ -61,7 +61,7 @@ class TensorForm:
 
     @property
     def is_known(self) -> bool:
-        """Whether the term has already returned a valid tensor, whose shape all later tensors must have."""
+        """Whether the term has already returned a valid tensor; all later tensors must have the same shape."""
         return self._shape is not None
 
     def fits(self, value: Any) -> bool:
@@ -127,7 +127,7 @@ class NoForm:
     """Requires that a term returns None, as event terms do."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value is None."""
+        """Return whether a term's return value is None."""
         return value is None
 
     def check(self, value: Any, source: str) -> None:
@@ -143,7 +143,7 @@ class FiguresForm:
     """The form of the state that a curriculum logs: a number, numbers by name, or None."""
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value is None or a float, which needs no further check."""
+        """Return True if a term returned None or a float; ``check`` tests all other return values."""
         return value is None or type(value) is float
 
     def check(self, value: Any, source: str) -> None:

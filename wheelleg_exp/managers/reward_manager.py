@@ -39,7 +39,7 @@ class RewardManager(ManagerBase):
         self._read_weights()
 
     def start_step(self) -> None:
-        """Re-read the reward weights, which a curriculum may have changed, and clear ``non_finite``."""
+        """Clear ``non_finite``, and read the reward weights again, because a curriculum may have changed them."""
         self.non_finite.clear()
         if self._weights != self._present_weights():
             self._read_weights()

@@ -1,8 +1,8 @@
 """Store the last samples of observation terms as histories, oldest sample first, and delay observations.
 
 Each new sample creates a new tensor, so that returned histories never change. The first sample of an episode fills the
-whole history, as in Isaac Lab. The argument ``first`` selects environments at the start of an episode, by indices or a
-mask (N,); None selects no environment.
+whole history, as in Isaac Lab. The argument ``first`` contains the environments in which an episode starts, as indices
+or a mask (N,); None means no environment.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class HistoryBuffer:
 class RowHistory:
     """Stores the histories of several observation terms in one row per environment: term by term, oldest sample first.
 
-    ``widths`` has the number of elements in one sample of each observation term. ``lengths`` has the number of stored
-    samples of each term; a length of 0 also stores one sample.
+    ``widths`` has the number of elements in one sample of each observation term. ``lengths`` has the number of samples
+    in each term's history; for 0, only the newest sample is stored.
     """
 
     def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
@@ -74,7 +74,7 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return the histories with ``samples`` as the newest samples, but do not store ``samples``."""
+        """Return the histories that ``append`` would return for ``samples``, but store nothing."""
         pieces = []
         for older, sample in zip(self._older, samples, strict=False):
             if older.start < older.stop:
@@ -90,7 +90,7 @@ class RowHistory:
         return after
 
     def prefix(self, count: int) -> torch.Tensor:
-        """Return a copy of the histories of only the first ``count`` terms, joined to one row (N, columns)."""
+        """Return a copy (N, columns) of the histories of the first ``count`` terms."""
         return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
 
     def part(self, index: int) -> RowHistoryPart:
@@ -115,7 +115,7 @@ class RowHistoryPart:
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore the state from a checkpoint."""
-        self._row.values = self._row.values.clone()  # Change a copy, because callers may still use the old tensor.
+        self._row.values = self._row.values.clone()  # Histories that were already returned must not change.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 

@@ -22,8 +22,8 @@ from wheelleg_exp.terms.config_sections import read_section
 class SceneManager:
     """The scene, built from the composed ``env`` section and the robot's MJCF file.
 
-    ``stream(key)`` returns the random generator for a config key. If ``stream`` is None, all generators are derived
-    from the seed 0.
+    ``stream(key)`` returns the random generator for a config key. Without ``stream``, the scene's random generators
+    start from the seed 0.
     """
 
     def __init__(

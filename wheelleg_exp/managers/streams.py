@@ -33,7 +33,7 @@ class Streams(Kept):
         return self._generators[path]
 
     def all(self) -> list[torch.Generator]:
-        """Return all random generators that the method ``get`` has created so far."""
+        """Return the random generators of all streams that have been used so far."""
         return list(self._generators.values())
 
     def reseed(self, seed: int) -> None:
@@ -49,7 +49,7 @@ class Streams(Kept):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore the seed and the state of each random generator from a checkpoint."""
-        self.reseed(saved["seed"])  # A random stream that the checkpoint lacks starts from the seed.
+        self.reseed(saved["seed"])  # Streams that are missing in the checkpoint start from its seed.
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
 

@@ -116,12 +116,12 @@ class SceneEntityCfg:
                 raise ConfigError(f"entity '{self.name}' has no '{name}'", key=f"{path}.{name}", expected="null")
 
     def body_list(self, count: int) -> list[int]:
-        """Return the indices of the selected bodies as a list; after ``resolve``, this needs no copy from the GPU."""
+        """Return the indices of the selected bodies as a list; after ``resolve``, nothing is copied from the GPU."""
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
     def selects_as(self, other: SceneEntityCfg) -> bool:
-        """Return whether this entity and ``other`` select the same joints and bodies in the same order."""
+        """Return whether two ``SceneEntityCfg`` objects select the same joints and bodies in the same order."""
         names = ("name", "joint_names", "body_names", "preserve_order")
         return all(getattr(self, name) == getattr(other, name) for name in names)
 
@@ -135,7 +135,7 @@ def member(scene: Scene, name: str, key: str) -> Any:
 
 
 def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
-    """Return ids as a tensor or a slice; negative indices count from the end of ``count`` joints or bodies."""
+    """Return joint or body indices as a tensor or a slice; negative indices count from the end, as in Python."""
     if isinstance(ids, (torch.Tensor, slice)):
         return ids
     return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
@@ -154,7 +154,7 @@ def _listed(names: str | Sequence[str]) -> list[str]:
 def bounds(
     ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return lower and upper bounds (k,) of the ranges of k axes; an axis without a range has the bounds 0 and 0."""
+    """Return the lower and the upper bounds of k axes, (k,) each; an axis without a range gets [0, 0]."""
     require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
     pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
     return pairs[:, 0], pairs[:, 1]

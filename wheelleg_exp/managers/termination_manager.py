@@ -79,7 +79,7 @@ class TerminationManager(ManagerBase):
         return done
 
     def force(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """End the episodes of ``env_ids`` as failed, even if no term fired; return the mask (N,) of ended episodes."""
+        """End the episodes in the environments ``env_ids`` as failures; return the mask (N,) of all ended episodes."""
         self.terminated[env_ids] = True
         self._last_episode[:, env_ids] = self.fired[:, env_ids]
         return self.dones
@@ -93,7 +93,7 @@ class TerminationManager(ManagerBase):
     def last_endings(self) -> Counter[str]:
         """Count the environments by the terminations that ended their last episode.
 
-        The key ``none`` counts environments that have not finished an episode, or whose last episode no term ended.
+        The key ``none`` counts environments in which no term ended the last episode, or no episode has ended yet.
         """
         found = _endings(self.active_terms, self._last_episode)
         return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
@@ -103,6 +103,6 @@ class TerminationManager(ManagerBase):
 
 
 def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
-    """Count environments by termination; ``fired`` (T, n) tells which of T terms ended which of n episodes."""
+    """Count episodes by termination term; ``fired`` (T, n) is True at [i, j] if term i ended episode j."""
     columns = fired.T.tolist()
     return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

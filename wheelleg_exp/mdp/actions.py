@@ -108,7 +108,7 @@ class _DefaultOffsetAction(JointAction):
 
     @property
     def applies_once(self) -> bool:
-        """Whether an action term sets joint targets only once per control step; False in user-defined subclasses."""
+        """Whether joint targets are constant during a control step; always False in user-defined subclasses."""
         return type(self).__module__ == __name__
 
     def __init__(
@@ -252,8 +252,8 @@ class JointPositionToLimitsAction(JointTerm):
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
     """A ``JointPositionToLimitsAction`` with smoothed joint targets, ``target = alpha * new + (1 - alpha) * last``.
 
-    The smoothed joint targets are clamped to the joints' soft limits. In the first step of an episode, ``last`` has the
-    present joint positions.
+    The smoothed joint targets are clamped to the joints' soft limits. In the first step of an episode, the present
+    joint positions are used as ``last``.
 
     Args:
         alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.
@@ -318,7 +318,7 @@ class BinaryJointAction(JointTerm):
         self._clip()
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return a mask (N, 1) of the environments whose raw action (N, 1) opens the joints."""
+        """Return a mask (N, 1) that is True where the raw action (N, 1) selects ``open_command_expr``."""
         return ~(actions < 0.0)
 
     def _command(self, values: Mapping[str, float], key: str) -> torch.Tensor:
@@ -368,5 +368,4 @@ class AbsBinaryJointPositionAction(BinaryJointPositionAction):
         self._threshold, self._positive = threshold, positive_threshold
 
     def opens(self, actions: torch.Tensor) -> torch.Tensor:
-        """Return a mask (N, 1) of the environments whose raw action (N, 1) opens the joints."""
         return actions > self._threshold if self._positive else actions < self._threshold

@@ -14,7 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase
 
 Part = str | int
 _KEY = "address"
-# Of a term's fields, curricula can change only ``_READ_AT_EACH_USE``, which managers read at each use.
+# Curricula can change only those fields of a term that managers read at each use.
 _READ_AT_EACH_USE = ("weight", "interval_range_s", "min_step_count_between_reset")
 
 
@@ -25,7 +25,7 @@ def parse(address: str) -> tuple[Part, ...]:
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
         if found is None:
             raise ConfigError(
-                f"'{address}' is not a setting's address", key=_KEY, expected="names and indices, as in a.b[2].c"
+                f"'{address}' is not the address of a setting", key=_KEY, expected="names and indices, as in a.b[2].c"
             )
         parts += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
     return tuple(parts)
@@ -39,14 +39,14 @@ def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
 
 
 def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether the address ``parts`` is a setting of a manager term, which checkpoints already contain."""
+    """Return whether an address belongs to a manager term, whose settings are in every checkpoint."""
     return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
 
 
 def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
     """Set the value of the setting at an address relative to the object ``root``.
 
-    A changed constructor argument of a term also changes the existing object of the term.
+    A new value of a term's constructor argument also takes effect in the term's existing object.
     """
     _set(root, parts, value)
     for length in range(1, len(parts)):
@@ -69,7 +69,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
 
 
 def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
-    """Raise ConfigError if a setting does not exist, or if a change of its value would have no effect."""
+    """Raise ConfigError if the setting at an address does not exist, or if a new value would have no effect."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):
@@ -78,7 +78,7 @@ def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
 
 def _below(holder: Any, part: Part) -> Any:
     if isinstance(holder, Term):
-        if part in ("func", "params"):  # Isaac Lab's address `TERM.params.NAME` means `TERM.NAME`.
+        if part in ("func", "params"):  # Isaac Lab writes `TERM.params.NAME` for `TERM.NAME`.
             return holder
         holder = _holder(holder, part)
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:

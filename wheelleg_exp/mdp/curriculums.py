@@ -75,14 +75,14 @@ class modify_env_param(TermBase):
         self._has_written, self._value = False, None
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
-        """Split the address of a setting of the environment into the address's names and indices."""
+        """Split a setting's address, such as ``a.b[2].c``, into names and indices."""
         return parse(address)
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> float | None:
         present = look_up(env, self._parts)
         value = self._modify(env, env_ids, present, **self._params)
         if value is not _NO_CHANGE:
-            # Copy a new list, because checkpoints cannot restore a list that the setting shares with ``modify_params``.
+            # Copy the new value, because checkpoints cannot restore a list that is also in ``modify_params``.
             write(env, self._parts, value if value is present else copy.deepcopy(value))
             self._has_written = True
         present = look_up(env, self._parts)
@@ -165,8 +165,8 @@ class command_range_levels(TermBase):
 
     Once per full episode length, a tracking ratio is computed: the mean tracking reward of the ended episodes, divided
     by the reward of a full-length episode with perfect tracking. If the tracking ratio exceeds ``threshold``, each
-    command range in ``limit_ranges`` grows by ``step`` on both sides, up to its limit. ``command_range_levels`` is not
-    part of Isaac Lab's library; some Isaac Lab projects have it as ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
+    command range in ``limit_ranges`` grows by ``step`` on both sides, up to its limit. Isaac Lab lacks
+    ``command_range_levels``, but some projects have it as ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
@@ -214,7 +214,7 @@ lin_vel_cmd_levels = command_range_levels
 ang_vel_cmd_levels = command_range_levels
 
 
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # A velocity command's tensor has the components in ``_AXES``.
+_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # ``_AXES`` lists the components of a velocity command.
 
 
 class command_levels_by_skill(TermBase):
@@ -227,9 +227,9 @@ class command_levels_by_skill(TermBase):
     command range and ``std``, the tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A
     failed episode counts as a full-length episode, with a tracking score of 0 in all steps after the failure. The
     command range of an axis grows by ``step`` on both sides after the tracking skill was at least ``threshold`` in
-    ``passes`` successive evaluations. Episodes that started before the last growth of a command range do not count for
-    the tracking skill S. If a command range below its limit has not grown in ``patience`` evaluations of velocity
-    tracking, training warns and logs 1 as ``<axis>_stuck``.
+    ``passes`` successive evaluations. Only episodes that started after the last growth of a command range count for the
+    tracking skill S. If a command range is below its limit and does not grow in ``patience`` evaluations, training
+    warns and logs ``<axis>_stuck`` = 1.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
@@ -273,10 +273,10 @@ class command_levels_by_skill(TermBase):
         self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
-        # ``_sums`` has sums of three values: tracking scores, scores of a robot at rest, and steps.
+        # ``_sums`` adds up three values per episode: tracking score, score of a robot at rest, and number of steps.
         self._sums = torch.zeros(shape, device=env.device)
         self._total = torch.zeros(shape[:2], device=env.device)  # over ended episodes
-        # ``_counts[i]`` is False while environment i finishes an episode with an older command range.
+        # ``_counts[i]`` is False if environment i's episode started before the last growth of a command range.
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
@@ -302,7 +302,7 @@ class command_levels_by_skill(TermBase):
         rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
         counted = self._counts[env_ids] & (length > 0)
         sums = self._sums[:, :, env_ids].to(self._total.dtype)
-        sums[1:] *= rest  # Count the steps after a failure, too, with a tracking score of 0.
+        sums[1:] *= rest  # The steps that a failed episode lacks count with a tracking score of 0.
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
         fill_rows(self._counts, env_ids, True)
@@ -319,7 +319,7 @@ class command_levels_by_skill(TermBase):
         ranges, grown = _ranges(env, self._command), False
         for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
             score, still, steps = map(float, total)
-            if steps - still <= 0.0:  # Skip an axis with only zero commands: its skill is 0 / 0.
+            if steps - still <= 0.0:  # If all commands on an axis were 0, its tracking skill would be 0 / 0.
                 continue
             self._skill[axis] = (score - still) / (steps - still)
             lowest, highest = self._limits[axis]
@@ -340,13 +340,13 @@ class terrain_levels_by_distance(TermBase):
     """Move robots to harder or easier terrain tiles by the distance covered along the command; return tile levels.
 
     The covered distance of an episode is the time integral of the velocity component along the command's direction, in
-    horizontal axes that turn with the robot. For a failed episode, the commanded distance is multiplied by the full
-    episode length divided by the actual length. A robot moves to a harder tile if it covered at least the share ``up``
-    of the commanded distance, and to an easier tile if it covered at most the share ``down``. If the commanded distance
-    is below ``min_distance``, a robot stays on its tile, or moves to an easier tile after a failed episode. A robot
-    that passes the hardest row of tiles moves to a random row. On ground without terrain tiles,
-    ``terrain_levels_by_distance`` has no effect. If the mean tile level is in the lower half and has not increased for
-    ``patience`` full-length episodes, the log value ``stuck`` is 1, and training warns.
+    horizontal axes that turn with the robot. The commanded distance of a failed episode is scaled up to the full
+    episode length. A robot moves to a harder tile if it covered at least the share ``up`` of the commanded distance,
+    and to an easier tile if it covered at most the share ``down``. If the commanded distance is below ``min_distance``,
+    a robot stays on its tile, or moves to an easier tile after a failed episode. A robot that passes the hardest row of
+    tiles moves to a random row. On ground without terrain tiles, ``terrain_levels_by_distance`` has no effect. Training
+    warns and logs ``stuck`` = 1 if the mean tile level stays in the lower half and does not rise for ``patience``
+    full-length episodes.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.

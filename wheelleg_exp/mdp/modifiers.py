@@ -16,7 +16,7 @@ class Modifier(Stateful):
     """A function of an observation, whose attributes can store past values and are saved in checkpoints."""
 
     def start(self, sample: torch.Tensor) -> None:
-        """Allocate tensors for past values of the observation, in the shape of its sample (N, ...)."""
+        """Allocate tensors for past samples of the observation; ``sample`` (N, ...) is an example."""
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         raise NotImplementedError
@@ -73,7 +73,7 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # a tuple, because checkpoints save all tensor attributes
+        self._coefficients = (feedback, forward)  # Checkpoints save tensor attributes, but no tuples.
         self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
         self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 

@@ -97,7 +97,7 @@ class NoiseModelWithAdditiveBias:
 
     def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
         """Draw a new observation bias for the environments ``env_ids``."""
-        # Do not change ``_bias`` in place, because torch forbids this for tensors created in inference mode.
+        # Replace ``_bias``, because tensors made in inference mode cannot be changed in place.
         if self._bias is not None:
             self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 

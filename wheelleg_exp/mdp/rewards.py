@@ -64,9 +64,8 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    The gradient of this tilt reward, unlike that of a squared error, does not vanish at small tilt angles. A fallen
-    robot loses at most the weight of ``flat_orientation_exp``. ``flat_orientation_exp`` gives an upside-down robot the
-    same reward as an upright robot.
+    The gradient of this tilt reward, unlike that of a squared error, does not vanish at small tilt angles.
+    ``flat_orientation_exp`` gives an upside-down robot the same reward as an upright robot.
 
     Args:
         std: sine of the tilt at which 1/e of the reward remains.
@@ -360,7 +359,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
 
-    In Isaac Lab, ``no_desired_contact`` is called ``desired_contacts``, although its value is 1 for missing contacts.
+    Isaac Lab calls this reward term ``desired_contacts``, although the value 1 means that no body has contact.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()

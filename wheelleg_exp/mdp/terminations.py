@@ -23,7 +23,7 @@ def time_out(env: Env) -> torch.Tensor:
 
 
 def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> torch.Tensor:
-    """End the episode if the command has been drawn ``num_resamples`` times and is due for another draw."""
+    """End the episode when the command would be drawn again after ``num_resamples`` draws."""
     command = env.command_manager.get_term(command_name)
     return (command.time_left <= env.step_dt) & (command.command_counter == num_resamples)
 
@@ -77,7 +77,7 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 class stuck(TermBase):
     """End the episode if a robot must drive but moved less than ``distance`` (m) in ``time`` (s). Not in Isaac Lab.
 
-    ``stuck`` restarts its measurement of distance and time at commanded planar speeds up to ``command_threshold``.
+    Distance and time restart from 0 while the commanded planar speed is at most ``command_threshold``.
 
     Args:
         distance: distance in the plane, m.
@@ -98,7 +98,7 @@ class stuck(TermBase):
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
         self._from = torch.zeros(env.num_envs, 2, device=env.device)
-        # ``_stayed`` has the control steps since the robot last moved by ``distance``, or -1 before the first step.
+        # ``_stayed`` counts control steps without a movement by ``distance``; -1 marks the start of an episode.
         self._stayed = torch.full((env.num_envs,), -1, device=env.device)
 
     def __call__(self, env: Env) -> torch.Tensor:

@@ -103,7 +103,7 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
         hidden = agent[role].get("hidden_dims") or []
         layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))
-        # Each weight, its gradient, and its two running means in the optimizer Adam take 16 bytes together.
+        # Training stores 4 numbers of 4 bytes per weight: the weight, its gradient, and two running means in Adam.
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
 
 

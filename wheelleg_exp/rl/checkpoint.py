@@ -23,7 +23,7 @@ _READABLE = (1, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
 # An rsl_rl algorithm has two networks: an actor and a critic, or a student and a teacher.
 ROLES = ("actor", "critic", "student", "teacher")
-# A checkpoint is limited in number of objects, depth of nesting, and tensor bytes per byte of the file.
+# ``load`` rejects checkpoints with too many objects, too deep nesting, or too many tensor bytes per file byte.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
@@ -35,7 +35,7 @@ def serialize(state: Mapping[str, Any]) -> bytes:
 
 
 def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
-    """Read a checkpoint. If ``finite`` is true, reject a checkpoint whose networks have NaN or inf parameters.
+    """Read a checkpoint. If ``finite`` is true, reject networks with NaN or inf parameters.
 
     ``load`` raises RunDirectoryError if the checkpoint file is missing, damaged, or from another program.
     """
@@ -55,7 +55,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
             parts += 1
             if isinstance(value, torch.Tensor):
                 if value.layout is not torch.strided or value.device.type != "cpu":
-                    raise ValueError("the checkpoint contains a tensor that is not a dense tensor on the CPU")
+                    raise ValueError("the checkpoint contains a tensor that is sparse or not on the CPU")
                 room -= value.numel() * value.element_size()
             elif isinstance(value, Mapping):
                 waiting += [(item, depth + 1) for pair in value.items() for item in pair]
@@ -104,7 +104,7 @@ def require_resumable(state: Mapping[str, Any]) -> None:
 def _rebuilt(value: Any) -> Any:
     """Return a deep copy of nested containers in which no object is shared.
 
-    Pickle writes a shared object only once, so equal states could give different bytes if objects were shared.
+    Equal states must give equal bytes, but pickle writes an object only once if the state contains it twice.
     """
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)

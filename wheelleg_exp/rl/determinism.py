@@ -42,7 +42,7 @@ _STATES: dict[str, Callable[[], Any]] = {
 
 
 # Torch splits a sum with more addends than `SPLIT_ABOVE` among threads, so that the sum depends on the thread count.
-# The value of `SPLIT_ABOVE` is torch's constant at::internal::GRAIN_SIZE.
+# `SPLIT_ABOVE` equals the constant at::internal::GRAIN_SIZE in torch's C++ code.
 SPLIT_ABOVE = 32768
 
 

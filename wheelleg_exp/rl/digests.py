@@ -39,12 +39,12 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
 
 
 def networks(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the networks in a checkpoint, from which the digest (hash) ``parameters`` is computed."""
+    """Return the networks in a checkpoint; the digest (hash) named ``parameters`` is computed from them."""
     return {key: value for key, value in state.items() if _part_of(key) == "parameters"}
 
 
 def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Merge the digests (hashes) of the first process (rank) with those of all other ranks, by the digests' names."""
+    """Merge each digest (hash) of the first process (rank) with the same digest of all other ranks."""
     if not others:
         return dict(first)
     merged = {name: [first[name], *(one[name] for one in others)] for name in first.keys() & others[0].keys()}

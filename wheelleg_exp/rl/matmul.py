@@ -27,9 +27,9 @@ KEY = "agent.matmul"
 # A layer of at least ``FEWEST_WEIGHTS`` weights is faster in bfloat16 than in float32, despite the conversions.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers per block
-# oneDNN may use AMX instructions if the environment variable ONEDNN_MAX_CPU_ISA has a value in ``_ANY``.
+# With a value in ``_ANY``, the environment variable ONEDNN_MAX_CPU_ISA allows AMX instructions.
 _ANY = ("", "ALL", "DEFAULT")
-# oneDNN may use bf16 vector instructions if ONEDNN_MAX_CPU_ISA has a value in ``_WITH_VECTORS``.
+# With a value in ``_WITH_VECTORS``, ONEDNN_MAX_CPU_ISA allows bf16 vector instructions.
 _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
 # Test several thread counts: 1 and 16 threads can give equal products while 2 threads give another product.
 _COUNTS = (1, 2, 3, 4, 8, 16)
@@ -38,8 +38,8 @@ _COUNTS = (1, 2, 3, 4, 8, 16)
 def chosen_matmul(agent: Mapping[str, Any]) -> str:
     """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
-    Old runs without the config key ``agent.matmul`` used float32. The value ``auto`` selects the precision by the
-    hardware, never by a measurement, so that all starts of a run have equal precision. ``chosen_matmul`` raises
+    Old runs without the config key ``agent.matmul`` used float32. The value ``auto`` selects the precision by the type
+    of hardware, not by a measurement, so that restarts of a run use the same precision. ``chosen_matmul`` raises
     ConfigError if the device of the training does not support the precision.
     """
     wanted, kind, why_not = str(agent.get("matmul", "float32")), str(agent["device"]).partition(":")[0], ""
@@ -77,8 +77,8 @@ def has_units() -> bool:
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
     """Return whether a network layer's matrix products with a batch of ``rows`` depend on the number of threads.
 
-    With AMX instructions, oneDNN may split a sum among threads, which changes the rounding. The test multiplies random
-    matrices of the layers' shapes with several numbers of threads.
+    With AMX instructions, oneDNN may split a sum among threads, which changes the rounding.
+    ``products_depend_on_threads`` compares products of random matrices for different numbers of threads.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]

@@ -14,7 +14,7 @@ JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
 _MAX_JOINT_DISTANCE = 0.02  # of the robot's size
 _FLIP = np.array([1.0, -1.0, 1.0])  # mirrors y
 MIRROR = np.diag(_FLIP)
-# A joint's axis may differ from its mirror image by 8 degrees, which have the cosine 0.99.
+# The axes of two paired joints may deviate from mirror symmetry by 8 degrees (cosine 0.99).
 _MIN_AXIS_COSINE = 0.99
 
 
@@ -22,8 +22,8 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
     r"""Return the index of each joint's mirror image; a joint that no key of ``pairs`` matches is its own mirror image.
 
     A key of ``pairs`` is a regular expression that matches the full names of joints on one side of the robot. The value
-    of a key in ``pairs`` is the joint's name on the other side, in which ``\1`` stands for a matched group of the key.
-    Pairs with the value None are ignored.
+    of a key in ``pairs`` is the joint's name on the other side; ``\1`` stands for the first matched group of the key. A
+    key with the value None pairs no joints.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -53,7 +53,7 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 
     A mirror M turns the axis a of a hinge into -M a, because the sense of rotation changes, and the axis a of a slide
     into M a. Two paired joints must have mirrored anchors, and must move bodies with mirrored centres of mass and equal
-    masses. ``images`` contains the index of each joint's mirror image.
+    masses. ``images[i]`` is the index of the joint that mirrors joint i.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -91,16 +91,16 @@ def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: 
 
 
 _MAX_BODY_DISTANCE = 0.02  # of the robot's size
-# After mirroring, the rotation matrices of a body and its mirror image may differ by 0.02 per entry.
+# Entries of a body's mirrored rotation matrix may deviate by 0.02 from the matrix of its mirror image.
 _MAX_FRAME_ERROR = 0.02
 
 
 class BodyImages:
     """Finds the mirror image of each body of a robot.
 
-    If a joint moves a body, the mirrored joint moves the body's mirror image. All other mirror images are found by
-    position. ``names`` are the body names, starting with the root. ``joint_images`` has the index of each joint's
-    mirror image.
+    If a joint moves a body, the mirrored joint moves the body's mirror image. The mirror image of any other body is the
+    body at the mirrored position. ``names`` are the body names, starting with the root. ``joint_images`` has the index
+    of each joint's mirror image.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class BodyImages:
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
         """Return the name of a body's mirror image; raise ConfigError with ``key`` if the body has no mirror image.
 
-        If ``with_axes`` is true, the axes of a body and of its mirror image must be mirror images.
+        If ``with_axes`` is true, the axes of both bodies must be mirror images of each other.
         """
         body = self.names.index(name)
         image = self._images[body]

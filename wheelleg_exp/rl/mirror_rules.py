@@ -31,7 +31,7 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
 # ``FREE_WIDTH_RULES`` names the mirror rules that fit observations with any number of values.
 FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
 # Each rule in ``BODY_RULES`` mirrors an observation of bodies, with one sign for each number of a body.
-# ``BODY_RULES`` also has the parameter that selects bodies, and whether the bodies' axes must be mirror images.
+# An entry of ``BODY_RULES`` is (signs, parameter that selects bodies, whether bodies need mirrored axes).
 BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
     "sensed_bodies": ((1,), "sensor_cfg", False),
     "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
@@ -112,12 +112,11 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
 
 
 def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
-    """Return how an IMU's measurement (a vector, pseudovector, or quaternion) changes in a mirror image.
+    """Return the left-right mirror rule of an IMU's measurement, which is a vector, pseudovector, or quaternion.
 
-    With the mirror matrix M and the rotation R from the IMU's axes to its body's axes, a vector v becomes R^T M R v,
-    and a pseudovector v becomes -R^T M R v. R^T M R must contain only -1, 0, and 1, so that each mirrored number is
-    plus or minus one measured number. ``mirror_imu`` raises ConfigError unless ``sensor`` is an IMU in the robot's
-    plane of symmetry.
+    The mirror M turns a measured vector v into R^T M R v, and a pseudovector v into -R^T M R v; R rotates the IMU's
+    axes to its body's axes. The matrix R^T M R must contain only -1, 0, and 1, so that a mirror only swaps or negates
+    measured numbers. ``mirror_imu`` raises ConfigError unless ``sensor`` is an IMU in the robot's plane of symmetry.
     """
     if not isinstance(sensor, Imu):
         raise ConfigError("the observed sensor is not an IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
@@ -158,8 +157,8 @@ class TermMirror:
     """Applies mirror rules (how an observation term changes in a mirror image) to observation terms.
 
     ``joint_images`` contains the index of each joint's mirror image. ``joint_signs`` contains -1 for each joint whose
-    position changes its sign in the mirror, otherwise 1. With ``(source, sign) = action[i]``, the mirrored action i is
-    ``sign`` times the action ``source``.
+    position changes its sign in the mirror, otherwise 1. If ``action[i]`` is ``(j, sign)``, the mirrored action i is
+    ``sign`` times the action j.
     """
 
     def __init__(

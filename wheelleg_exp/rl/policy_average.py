@@ -19,8 +19,8 @@ class PolicyAverage:
     During training, a policy's weights fluctuate around an optimum. The mean of the weights is closer to the optimum
     than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM Journal
     on Control and Optimization 30, 1992). Training continues with the policy's current weights, not with their mean
-    over iterations. During the first n = ``iterations`` training iterations, m is the mean of the policy weights of all
-    iterations so far. Later, the mean m moves by (w - m) / n towards the new weights w in each training iteration.
+    over iterations. In the first n = ``iterations`` training iterations, the average m is the mean of all policy
+    weights w so far. Later, each training iteration moves the average m by (w - m) / n towards the new weights w.
     ``iterations`` = 0 disables the mean weights.
     """
 
@@ -51,7 +51,7 @@ class PolicyAverage:
         return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Load mean weights. If ``saved`` has no mean weights, the mean starts with the next policy update.
+        """Load mean weights. If ``saved`` contains no mean weights, averaging starts with the next policy update.
 
         ``load_state_dict`` raises ValueError if the mean weights do not fit the policy network.
         """

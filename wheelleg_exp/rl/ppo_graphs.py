@@ -56,8 +56,8 @@ class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
     The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. After
-    each policy update, the optimizer gets rsl_rl's settings back, so that rsl_rl can save and load the optimizer. A
-    CUDA graph reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is
+    each policy update, the optimizer's original settings are restored, so that rsl_rl can save and load it. A CUDA
+    graph reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is
     loaded, a new CUDA graph is captured.
     """
 
@@ -105,7 +105,7 @@ class CapturedUpdate:
                 self._capture(order)
             self._each(order, self._graph.replay)
         else:
-            # Use the CUDA stream of the later capture, because torch keeps using the stream of the first gradient.
+            # Compute first gradients in the CUDA stream of the later capture, because torch keeps using that stream.
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
@@ -145,7 +145,7 @@ class CapturedUpdate:
         self._captured = self._memory()
 
     def _memory(self) -> tuple[int, ...]:
-        """Return the memory addresses of the tensors that can change when a checkpoint is loaded."""
+        """Return the tensors' memory addresses, which can change when a checkpoint is loaded."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
         networks = (algorithm.actor, algorithm.critic)
@@ -213,7 +213,7 @@ class CapturedActing:
     """Draws actions and stores the data for the policy update, as rsl_rl's ``PPO.act`` does.
 
     The first rollout uses ``PPO.act``. At the start of the second rollout, ``CapturedActing`` captures the actor and
-    the critic as a CUDA graph. New memory addresses of the networks' weights require a new capture.
+    the critic as a CUDA graph. If the memory address of a network's weight changes, a new CUDA graph is captured.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -238,7 +238,7 @@ class CapturedActing:
         self._graph.replay()
         transition, found = algorithm.transition, self._found
         transition.hidden_states = (None, None)
-        transition.actions = found["actions"].clone()  # The next graph replay overwrites the original tensor.
+        transition.actions = found["actions"].clone()  # The next replay of the CUDA graph overwrites ``found``.
         for name in ("values", "actions_log_prob", "distribution_params"):
             setattr(transition, name, found[name])
         transition.observations = observations

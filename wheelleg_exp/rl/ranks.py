@@ -2,9 +2,9 @@
 
 Each process (rank) simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes
 over gloo. No message is unpickled. Processes (ranks) exchange gradients on GPUs over NCCL. A checkpoint of several
-ranks is one tree: networks and optimizer are stored once. Environments, random streams, episode sums, and hidden states
-differ between ranks. The top level of a checkpoint contains the first rank's state, and its key ``ranks`` contains the
-state of all other ranks.
+ranks is one tree: networks and optimizer are stored once. Each rank has its own environments, random streams, episode
+sums, and hidden states. The top level of a checkpoint contains the first rank's state, and its key ``ranks`` contains
+the state of all other ranks.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _COMMUNICATION = Path(dist.__file__).parent
 class FirstRankFailed(WheellegError):
     """The error that all processes (ranks) except the first raise if a training failed; the first reports the reason.
 
-    If ``keeps`` is true, NaN or inf ended the training, and the first rank saves a checkpoint of the last iteration.
+    ``keeps`` is true if NaN or inf ended the training; then the first rank saves a checkpoint of the last iteration.
     """
 
     exit_code = EXIT_FAILED
@@ -76,7 +76,7 @@ def left() -> Left:
 
 
 def error_facts(error: WheellegError | None) -> dict[str, str | None]:
-    """Return an error's message, config key, and further attributes as a dictionary; {} if ``error`` is None."""
+    """Return the attributes of an error, such as its message and config key, as a dictionary; {} for None."""
     if error is None:
         return {}
     facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
@@ -170,7 +170,7 @@ class Ranks:
         return self.tell_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Send the state ``tree`` to the first rank. Return all ranks' states on the first rank, and [] elsewhere."""
+        """Send this rank's state to the first rank. Return all ranks' states on the first rank, and [] elsewhere."""
         if not self.together:
             return [dict(tree)]
         found = self._gathered(checkpoint.serialize(tree), everywhere=False)
@@ -238,8 +238,8 @@ class Ranks:
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
         """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        ``times`` has the keys of durations, which are merged to the longest duration. Only the first rank returns
-        merged scalars; all other ranks return their own scalars.
+        For the keys in ``times``, the longest duration of all ranks is returned. Only the first rank returns merged
+        scalars; all other ranks return their own scalars.
         """
         if not self.together:
             return dict(scalars)
@@ -277,7 +277,7 @@ def joined() -> Iterator[Ranks]:
     if gpus and ranks.local < torch.cuda.device_count():
         torch.cuda.set_device(ranks.local)
     yield ranks
-    dist.destroy_process_group()  # not in a `finally` block, because it would wait for dead ranks
+    dist.destroy_process_group()  # After an error, `destroy_process_group` would wait for dead ranks.
 
 
 OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")
@@ -299,7 +299,7 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
 def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
     """Return the digests (hashes) of the state of all processes (ranks), and whether all ranks have equal networks.
 
-    Each rank must call ``digests_of_all`` with its own state, because the ranks exchange their digests.
+    All ranks must call ``digests_of_all``, each with its own state, because the ranks exchange digests.
     """
     mine = digests.of_state(state)
     if not ranks.together:

@@ -13,13 +13,13 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
-SCALAR = "Diagnostics/non_finite/"  # prefix of the scalars that count episodes with NaN or inf
+SCALAR = "Diagnostics/non_finite/"  # ``SCALAR`` is the name prefix of scalars that count episodes with NaN or inf.
 
 
 class FailureCount:
     """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
-    Each iteration accepts ``agent.max_non_finite * num_envs`` episodes with NaN or inf, but at least one.
+    Each training iteration may have up to max(1, ``agent.max_non_finite * num_envs``) episodes with NaN or inf.
     """
 
     def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
@@ -49,7 +49,7 @@ class FailureCount:
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, int]:
-    """Extract from an iteration's scalars the number of episodes with NaN or inf, by the failed term's config key."""
+    """Return how many episodes of an iteration had NaN or inf, by the config key of the failed term."""
     return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
 
 

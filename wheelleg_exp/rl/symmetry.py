@@ -75,7 +75,7 @@ class Mirror:
         return actions[:, sources] * signs
 
     def _actions(self) -> SignedSources:
-        """Return ``(source, sign)`` for each action, so that mirrored actions give mirrored joint targets."""
+        """Return (j, sign) for each action i: the mirrored action i is ``sign`` times the action j."""
         manager = self._env.action_manager
         columns: dict[tuple[str, str], int] = {}
         made: list[tuple[str, str, float, float]] = []

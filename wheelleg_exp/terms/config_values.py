@@ -26,17 +26,17 @@ class Misfit:
 
     message: str
     expected: str
-    # ``keys`` is the path from the checked config value to the wrong value inside it.
+    # If the wrong value is inside a mapping or list, ``keys`` is its path there, such as ``('a', 'b')``.
     keys: tuple[str, ...] = ()
     nearest: str | None = None  # a similar valid word
-    is_type: bool = False  # whether the type is wrong
+    is_type: bool = False  # ``is_type`` is True if the value has a wrong type.
 
 
 def fits(value: Any, annotation: Any) -> bool:
     """Return whether a value from YAML has the type that an annotation names.
 
-    For example, an int fits the annotation ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. Any
-    value fits an annotation that is a class or a callable, because a ``_target_`` node builds the object.
+    For example, an int fits the annotation ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. If
+    the annotation is a class or a callable, every value fits, because a ``_target_`` node builds the object.
     """
     return not misfits(value, annotation)
 
@@ -135,7 +135,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # Errors must name constraints, too: 'a number, at least 0', not 'a number'.
+    if found:  # Name the constraint in the error, too: 'a number, at least 0' instead of 'a number'.
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m

@@ -36,7 +36,7 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # ``pipeline`` is a primary config of Hydra with a section of the same name.
+PIPELINE = "pipeline"  # Hydra's primary config ``pipeline`` has a section ``pipeline``.
 
 
 def names_pipeline(word: str) -> bool:

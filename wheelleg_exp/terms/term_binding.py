@@ -46,7 +46,7 @@ def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` is in an allowed package, so that a config cannot call arbitrary code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
-        # Suggest ``target`` with a corrected first name, such as ``my_robot.rewards`` for ``my_robt.rewards``.
+        # Suggest the most similar package, such as ``my_robot.rewards`` for ``my_robt.rewards``.
         top, _, rest = target.partition(".")
         near = nearest_name(top, [package.split(".")[0] for package in packages])
         declared = 'or in a package that your project declares (recipe "A term of your own")'
@@ -74,10 +74,10 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# If the section ``recorders`` is missing, no empty section is added to the config.
+# The config section ``recorders`` may be missing.
 OPTIONAL = "recorders"
 
-# ``FIELD_TYPES`` has the types of the keys in ``RESERVED``; ``REQUIRED_FIELDS`` lists keys that a term must have.
+# ``FIELD_TYPES`` has the type of each config key that managers read, such as ``weight``.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
@@ -102,7 +102,7 @@ MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "mi
 # Managers pass ``env``, ``env_ids``, and ``generator`` to terms, so the config of a term cannot set these arguments.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = ["cfg", "env"]  # Constructors of classes for Isaac Lab have the parameters ``cfg`` and ``env``.
+_CFG_ENV = ["cfg", "env"]  # Constructors of Isaac Lab's terms have the parameters ``cfg`` and ``env``.
 
 # ``_MOVED`` maps old ``_target_`` paths, which configs of earlier versions can contain, to the current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
@@ -124,7 +124,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Remove terms with the value null, and return their keys. Replace missing sections by empty mappings."""
+    """Remove terms that are null, and return their config keys. Add missing config sections as empty mappings."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -185,7 +185,7 @@ def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, An
 
 
 def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield ``(path, target)`` for every ``_target_`` at or below ``node``."""
+    """Yield the config path and the value of every ``_target_`` in a config."""
     return ((where, str(part[TARGET])) for where, part in walk_nodes(node, path) if TARGET in part)
 
 
@@ -211,7 +211,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception as error:  # the import of a user's module can raise any exception
+    except Exception as error:  # A user's module can raise any exception when it is imported.
         reason = str(error) if isinstance(error, ImportError) else in_words(error)
         absent = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
         expected = "package.module.name" if absent else "a module that can be imported"
@@ -257,8 +257,8 @@ def takes_cfg(target: Callable[..., Any]) -> bool:
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class that defines which parameters a term's config can set.
 
-    For a class with the constructor ``(cfg, env)``, return its method ``__call__`` if it exists, otherwise the class of
-    ``cfg``. Return all other functions and classes unchanged.
+    For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or the class of ``cfg`` if
+    ``__call__`` is missing. Any other function or class defines its parameters itself.
     """
     if not takes_cfg(target):
         return target
@@ -269,7 +269,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cfg_class(target: Callable[..., Any]) -> type | None:
-    """Return the type annotation of ``cfg`` in a constructor ``(cfg, env)``; None if the annotation is not a class."""
+    """Return the class in the type annotation of the constructor's parameter ``cfg``; None if there is no class."""
     made = vars(target).get("__init__") or target.__init__
     found = made.__annotations__.get("cfg")
     if isinstance(found, str):

@@ -73,7 +73,7 @@ def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]
         term = binding.TermNode(path.rsplit(".", 1)[-1], path, str(node[binding.TARGET]), {}, parameters)
     except ConfigError as error:
         return [error]
-    return parameter_errors("commands", term, target)  # In the section "commands", any parameter name is valid.
+    return parameter_errors("commands", term, target)  # The section "commands" reserves no parameter names.
 
 
 def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
@@ -126,8 +126,7 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of the parameters of a function or class, including constraints.
 
-    ``type_hints`` omits annotations whose class is imported only under ``TYPE_CHECKING``, such as the annotation of
-    ``env`` in terms that were written for Isaac Lab.
+    ``type_hints`` omits annotations that cannot be evaluated, such as classes imported only under ``TYPE_CHECKING``.
     """
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -140,7 +139,7 @@ def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
 def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for name, annotation in getattr(function, "__annotations__", {}).items():
         alone = types.SimpleNamespace(__annotations__={name: annotation})
-        with suppress(Exception):  # the evaluation of an annotation can raise any exception
+        with suppress(Exception):  # Evaluating an annotation can raise any exception.
             yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
 
 
@@ -201,7 +200,7 @@ def placed(error: ConfigError, path: str) -> ConfigError:
 
 
 def code_place(code: Any) -> str | None:
-    """Return the file and line that define a function or an object's class; None if the place is unknown."""
+    """Return the file and line of a function or of an object's class; None if the source code is unknown."""
     found = _definition(code)
     try:
         file, line = inspect.getsourcefile(found), inspect.getsourcelines(found)[1]

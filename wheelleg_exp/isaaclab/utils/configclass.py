@@ -18,7 +18,7 @@ def configclass(cls: type[_Class]) -> type[_Class]:
     for name, value in list(vars(cls).items()):
         if name.startswith("_") or inspect.isroutine(value) or isinstance(value, (property, dataclasses.Field)):
             continue
-        if inspect.isclass(value) and name not in annotations:  # A nested config class is not a field.
+        if inspect.isclass(value) and name not in annotations:  # A class inside a config class is no dataclass field.
             continue
         annotations.setdefault(name, Any)
         if value is dataclasses.MISSING:

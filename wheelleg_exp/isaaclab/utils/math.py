@@ -1,8 +1,7 @@
 """Functions for rotations, frames, cameras, and random numbers, with the names of ``isaaclab.utils.math``.
 
 Quaternions are (w, x, y, z), angles are radians. Tensor arguments can have any leading dimensions, which are broadcast.
-Draws use torch's global generator. While a user-defined term runs, torch's global generator is the random stream of
-this term.
+Random functions use torch's global generator, which draws from a user-defined term's random stream while the term runs.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 wrap_to_pi = rotation.wrap_to_pi
-SMALL = 1e-6  # rad; smaller angles are approximated to avoid a division by 0
+SMALL = 1e-6  # Below ``SMALL`` (rad), formulas do not divide by the angle, but use an approximation.
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -205,7 +204,7 @@ def subtract_frame_transforms(
 def rigid_body_twist_transform(
     v0: torch.Tensor, w0: torch.Tensor, t01: torch.Tensor, q01: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Convert a body's linear and angular velocity from one frame of the body to a second frame of the body."""
+    """Convert linear and angular velocity from frame 0 to frame 1, which are both fixed to one rigid body."""
     return quat_apply_inverse(q01, v0 + cross(w0, t01)), quat_apply_inverse(q01, w0)
 
 

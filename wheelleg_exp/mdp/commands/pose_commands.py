@@ -27,9 +27,9 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 class UniformPose2dCommand(RangedCommand):
     """A position near the environment's origin and a heading, in the base's yaw axes: (x, y, z) in m, rad.
 
-    The commanded position has the root height of the robot's default state. After a command was drawn, the first call
-    of ``compute`` converts the command to the axes of the base. The metrics are the last errors: distance in the plane,
-    m, and heading, rad.
+    The commanded position has the root height of the robot's default state. The first call of ``compute`` after a draw
+    converts the new command to the base's axes. The metrics are the last errors: distance in the plane, m, and heading,
+    rad.
 
     Args:
         ranges: ``pos_x`` and ``pos_y`` are relative to the environment's origin, m, and ``heading`` is in world axes,

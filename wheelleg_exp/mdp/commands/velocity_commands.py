@@ -31,7 +31,7 @@ class UniformVelocityCommand(RangedCommand):
 
     In environments that are drawn as standing, the velocity command is zero. With ``heading_command``, some
     environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. As in Isaac
-    Lab, an observation right after ``reset`` contains the drawn velocity, even in standing and turning environments.
+    Lab, the first observation after ``reset`` contains the drawn velocity even if the robot must stand or turn.
 
     Args:
         ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
@@ -147,7 +147,7 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # A checkpoint saves every tensor attribute of a command term, but no constant tuple such as ``_moments``.
+        # Store constants in a tuple, because checkpoints save all tensor attributes of a command term.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
 
@@ -223,7 +223,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # A checkpoint saves every tensor attribute of a command term, but no constant tuple such as ``_fastest``.
+        # Store constants in a tuple, because checkpoints save all tensor attributes of a command term.
         self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 

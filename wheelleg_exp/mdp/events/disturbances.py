@@ -133,7 +133,7 @@ class apply_body_impulse(TermBase):
         self._time_left = torch.zeros(env.num_envs, device=env.device)
         self._is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._push = torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device)
-        self._robot.add_wrench(self._bodies, self._push)  # Register the pushed bodies before a CUDA graph is captured.
+        self._robot.add_wrench(self._bodies, self._push)  # CUDA graphs only push bodies that are already registered.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     def _draw(self, count: int) -> torch.Tensor:

@@ -18,7 +18,7 @@ Distribution = Literal["uniform", "log_uniform", "gaussian"]
 Pose = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 PoseRange = Mapping[Pose, Interval]
 POSE = get_args(Pose)
-Pair = Annotated[Sequence[float], Length(2)]  # [low, high], or [mean, standard deviation] of a Gaussian
+Pair = Annotated[Sequence[float], Length(2)]  # A pair is [low, high], or [mean, standard deviation] of a Gaussian.
 Number = float | torch.Tensor
 
 
@@ -40,15 +40,15 @@ def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) ->
 
 
 def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
-    """Return the environment ids ``env_ids`` unchanged; for None, return the ids of all environments."""
+    """Return ``env_ids``, or the indices of all environments if ``env_ids`` is None."""
     return torch.arange(env.num_envs, device=env.device) if env_ids is None else env_ids
 
 
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
-    """Return the valid form, such as ``[low, high], above 0``, if the parameters ``pair`` are invalid, else None.
+    """Return None if ``pair`` is valid for a distribution, else its valid form, such as ``[low, high], above 0``.
 
-    The rules for valid distribution parameters are the same as in Isaac Lab. ``least`` is the limit of scale factors,
-    ``above 0`` or ``at least 0``, or an empty string for no limit.
+    Isaac Lab accepts the same parameters of distributions. ``least`` is the lower limit of scale factors: ``above 0``,
+    ``at least 0``, or an empty string for no limit.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -64,8 +64,8 @@ def ranges(
 ) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
     """Return a function that checks the ranges of an event, such as low <= high, and yields errors.
 
-    With the operation ``scale``, factors must be above 0 in the ranges ``above_0``, and at least 0 in the ranges
-    ``at_least_0``. Factors in the ranges ``free`` may be negative.
+    With the operation ``scale``, factors must be above 0 in ranges named in ``above_0``, and at least 0 in ranges named
+    in ``at_least_0``. Factors may be negative in ranges named in ``free``.
     """
     bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 

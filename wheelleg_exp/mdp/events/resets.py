@@ -70,9 +70,9 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 class reset_root_state_from_terrain(TermBase):
     """Place the root above a random flat patch of the environment's terrain tile, with a random orientation.
 
-    Random flat patches are drawn from the entry ``init_pos`` of the terrain's ``flat_patches``. The root's default
-    position is added to the position of the flat patch; the root's default orientation has no effect. The drawn
-    velocity is that of the root's centre of mass in world axes.
+    The terrain's config key ``flat_patches.init_pos`` defines the flat patches. The root's new position is the flat
+    patch's position plus the root's default position; the root's default orientation has no effect. The drawn velocity
+    is that of the root's centre of mass in world axes.
 
     Args:
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
@@ -123,7 +123,7 @@ def reset_joints_by_scale(
 ) -> None:
     """Set joint positions and velocities to their defaults times uniform factors, clipped to the soft limits.
 
-    Scaling leaves a default joint position or velocity of 0 unchanged.
+    Default joint positions and velocities of 0 remain 0.
     """
     _reset_joints(env, env_ids, torch.mul, (position_range, velocity_range), generator, asset_cfg)
 
