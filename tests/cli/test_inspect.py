@@ -206,7 +206,7 @@ def test_a_play_is_compared_with_another_run_s_folder(inspect, run, tmp_path):
         (["r.rrd", "--env", "9"], "environment 9 was not recorded"),
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--play"], "is not a run"),
-        (["text.rrd"], "is not a rerun recording"),
+        (["text.rrd"], "is not a Rerun recording"),
         (["gone.rrd"], "'gone.rrd' is a broken symbolic link"),
         (["r.rrd", "--viewer"], "--viewer: the option has no effect on the chosen actions; expected also --screenshot"),
         (["r.rrd", "--at", "1s"], "expected also --screenshot"),

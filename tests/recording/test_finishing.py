@@ -24,7 +24,7 @@ def path(tmp_path: Path) -> Path:
         ("exit 0", "rerun wrote nothing"),
         ('echo "no recording" > "$5"', "rerun wrote nothing"),
         ("sleep 600", "rerun did not finish within 0 s"),
-        ("", "rerun's program is missing"),
+        ("", "Rerun's program is missing"),
     ],
 )
 def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, script, why):

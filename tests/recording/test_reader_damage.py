@@ -57,11 +57,11 @@ def verified(path):
         (os.mkfifo, "not a regular file"),
         (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
         (lambda path: path.write_bytes(b""), "is empty"),
-        (lambda path: path.write_bytes(b"%PDF-1.7 and more"), "is not a rerun recording"),
+        (lambda path: path.write_bytes(b"%PDF-1.7 and more"), "is not a Rerun recording"),
         (lambda path: path.write_bytes(b"RRF0 and more"), "another format.*RRF0"),
         (lambda path: path.write_bytes(b"RRF2\0"), "has an incomplete header"),
         (lambda path: path.write_bytes(HEADER), "contains no rows"),
-        (lambda path: path.write_bytes(b"RRF2\0\x16\1\0\1\1\0\0 more"), r"rerun 0\.22\.1, in a format that is no"),
+        (lambda path: path.write_bytes(b"RRF2\0\x16\1\0\1\1\0\0 more"), r"Rerun 0\.22\.1, in a format that is no"),
         (lambda path: rr.blueprint.Blueprint(rr.blueprint.TimeSeriesView()).save("x", path), "contains no rows"),
     ],
 )

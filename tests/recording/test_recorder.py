@@ -243,7 +243,7 @@ def test_a_resumed_recording_is_as_if_it_had_never_stopped(make_env, tmp_path):
 def test_a_file_that_is_no_recording_is_not_gone_on_with(recorded, tmp_path):
     path = tmp_path / "r.rrd"
     path.write_bytes(b"precious" * 9)
-    with pytest.raises(RunDirectoryError, match="is not a rerun recording"):
+    with pytest.raises(RunDirectoryError, match="is not a Rerun recording"):
         Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play", keep_until=3)
     assert path.read_bytes() == b"precious" * 9
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

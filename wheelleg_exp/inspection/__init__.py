@@ -1,4 +1,4 @@
-"""Inspect recordings: summaries, statistics, tables, plots, pictures, and rerun's viewer.
+"""Inspect recordings: summaries, statistics, tables, plots, pictures, and Rerun's viewer.
 
 | module | offers |
 |---|---|
@@ -11,5 +11,5 @@
 | ``plot_data``, ``plot_style`` | the numbers of plots, and fonts, colours, and layout |
 | ``recorded_scene``, ``recording_pictures``, ``recording_video`` | pictures and videos of the recorded robot |
 | ``robot_picture`` | a picture of a robot's initial state, without a recording |
-| ``rerun_viewer`` | rerun's viewer in a window, in a browser, or as a screenshot |
+| ``rerun_viewer`` | Rerun's viewer in a window, in a browser, or as a screenshot |
 """

@@ -1,4 +1,4 @@
-"""Compare two rerun recordings: find equal entities, and the first and the largest difference of each number."""
+"""Compare two Rerun recordings: find equal entities, and the first and the largest difference of each number."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 
 @dataclass(frozen=True)
 class Parting:
-    """The first difference of a number: the control step, the simulated time (s), and both values.
+    """The first control step at which a number differs between two recordings, with its time (s) and both values.
 
-    ``step`` is None if the values differ at no control step that both recordings contain. ``time_s`` is None if the
-    recording contains no simulated times.
+    ``step`` is None if the values are equal at all control steps that both recordings contain. ``time_s`` is None if
+    the recording contains no simulated times.
     """
 
     step: int | None
@@ -32,10 +32,10 @@ class Parting:
 
 @dataclass(frozen=True)
 class NumberDifference:
-    """A recorded number that differs between two rerun recordings.
+    """A recorded number that differs between two Rerun recordings.
 
-    ``parting`` is the number's first difference, and ``largest`` its largest absolute difference, at control steps that
-    both recordings contain.
+    ``parting`` is the number's first difference between the recordings; ``largest`` is the largest absolute difference
+    at equal control steps.
     """
 
     name: str
@@ -48,9 +48,9 @@ class NumberDifference:
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """The result of a bitwise comparison of two rerun recordings.
+    """The result of a bitwise comparison of two Rerun recordings.
 
-    ``only_first`` and ``only_second`` are the paths of rerun entities that only one of the two recordings contains.
+    ``only_first`` and ``only_second`` are paths of Rerun entities that only the first or second recording contains.
     ``numbers`` are the recorded numbers that differ between the two recordings, sorted by the first different step.
     """
 
@@ -66,12 +66,12 @@ class RecordingComparison:
         return not (self.different or self.only_first or self.only_second)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the comparison of two rerun recordings as a dictionary for JSON."""
+        """Return the comparison of two Rerun recordings as a dictionary for JSON."""
         return {"is_equal": self.is_equal, **asdict(self)}
 
 
 def compare(first: Recording, second: Recording) -> RecordingComparison:
-    """Compare two rerun recordings bit by bit, except for texts, properties, and wall-clock times."""
+    """Compare two Rerun recordings bit by bit, except for texts, properties, and wall-clock times."""
     a, b = entity_digests(first.path), entity_digests(second.path)
     different = [entity for entity in a if entity in b and a[entity] != b[entity]]
     numbers: dict[tuple[str, str], NumberDifference] = {}

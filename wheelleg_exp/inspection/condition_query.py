@@ -109,7 +109,7 @@ def _names(node: ast.expr, text: str) -> Iterator[str]:
 
 
 def _name(node: ast.expr) -> str | None:
-    """Return the recorded name in a syntax node of the form ``a``, ``a.b``, ``a.b[c]``, or a quoted text."""
+    """Return the name of a recorded number, such as ``base.pitch``, from a Python syntax node; None for other nodes."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     inner = node
@@ -157,7 +157,7 @@ def _wrong(text: str, reason: str) -> WheellegError:
 class Hit:
     """A group of consecutive recorded frames in which a condition such as ``base.pitch > 0.3`` is true.
 
-    ``around`` contains the hit's frames and the requested frames before and after the hit; None without such a request.
+    If the user requests frames around a hit, such as 0.5 s before and after, ``around`` contains them; otherwise None.
     """
 
     first: Moment
@@ -176,12 +176,12 @@ def find_hits(
 ) -> list[Hit]:
     """Return all groups of consecutive frames in which a condition is true, sorted by environment and time.
 
-    ``columns`` names the recorded numbers in ``Hit.around``; by default, these are the numbers in the condition. If
-    ``around`` is a duration, ``Hit.around`` contains the hit's frames and all frames within this duration of the hit.
+    ``columns`` names the recorded numbers in ``Hit.around``; by default, these are the numbers in the condition. With
+    ``around`` of 0.5 s, for example, ``Hit.around`` contains the hit's frames and 0.5 s before and after the hit.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
-    # Read all recorded times, because the frames before and after a hit can be outside the selected times.
+    # Read all recorded times, because requested frames around a hit can be outside the times that the user selected.
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
     if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
         raise nothing_chosen(recording)

@@ -25,7 +25,7 @@ class Episode:
     """One episode of one environment, as far as the episode was recorded.
 
     ``first_step`` and ``last_step`` are the control steps of the episode's first and last recorded frame. ``iteration``
-    and ``last_iteration`` are the training iterations at ``first_step`` and ``last_step``; None without a training.
+    and ``last_iteration`` are the training iterations of the first and last frame; None if no training was recorded.
     ``duration_s`` is the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or,
     if an episode's end was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended
     an episode. ``total_reward`` is the sum of all recorded rewards of an episode.
@@ -185,8 +185,8 @@ class EffortUse:
 class RewardShare:
     """The contribution of one reward term: its mean (1/s), and its sum over the recorded time.
 
-    ``weight`` is a reward term's configured weight; None if this weight was not recorded. ``share`` is the sum of a
-    reward term's absolute values as a share of all reward terms' sums; None if all sums are 0.
+    ``weight`` is a reward term's configured weight; None if this weight was not recorded. ``share`` is the term's sum
+    of absolute rewards, divided by the same sum over all terms; None if all rewards are 0.
     """
 
     term: str

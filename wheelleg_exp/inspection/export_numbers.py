@@ -50,7 +50,7 @@ def export(
     float64. NaN is written as ``nan``. An empty CSV field means that a number was not recorded at the row's control
     step.
 
-    If ``terms`` names recorded numbers such as ``rewards.base_height``, one file with only these numbers is written.
+    If ``terms`` lists recorded numbers such as ``rewards.base_height``, one file with only these numbers is written.
     The path ``output`` must not exist. A file or folder appears at ``output`` only when its content is complete.
     """
     if kind not in KINDS:
@@ -117,7 +117,7 @@ def _of_group(recording: Recording, group: str, selection: Selection) -> pa.Tabl
 
 
 def _file_name(group: str) -> str:
-    # The file is named after a group of recorded numbers, so escape characters such as '/' in the group's name.
+    # Encode characters such as '/', because the name of a group of recorded numbers becomes a file name.
     return re.sub(r"[^\w-]", lambda found: f"%{ord(found.group()):02x}", group)[:_LONGEST_NAME] or "%"
 
 

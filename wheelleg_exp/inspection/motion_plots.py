@@ -66,7 +66,7 @@ def contact_forces(source: Source) -> list[Panel]:
         if series is None:
             continue
         shown, peak = _last(source, series), source.maybe("contacts", sensor, "peak")
-        # Show peak contact forces only if they were recorded at the same control steps as the contact forces.
+        # Plot the peak contact forces only if they were recorded at the same control steps as the other contact forces.
         if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
             peak = None
         else:
@@ -107,7 +107,7 @@ def terminations(source: Source) -> list[Panel]:
 
 
 def rewards(source: Source) -> list[Panel]:
-    """Return plot panels of the mean weighted value of each reward term, and of its weighted value over time."""
+    """Return plot panels of each reward term: the mean of its weighted value, and its weighted value over time."""
     terms = source.weighted()
     if not terms:
         return []
@@ -122,7 +122,7 @@ def rewards(source: Source) -> list[Panel]:
 
 
 def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
-    """Return a plot panel for each recorded number of an entity, over time or training iterations."""
+    """Return a plot panel over time for each number that was recorded in a Rerun entity such as ``base/height``."""
     series = source.series(entity)
     many = series.values.shape[1] > 1
 

@@ -1,4 +1,4 @@
-"""Provide the numbers of a recording for plots, by rerun entity, and find recorded sequences of control steps."""
+"""Provide the numbers of a recording for plots, by Rerun entity, and find recorded sequences of control steps."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Series:
     names: tuple[str, ...]
 
     def rows(self, which: Any) -> Series:
-        """Return a new series with only the rows that the index or mask ``which`` selects."""
+        """Return a copy of the series that contains only the rows ``which``, given as indices or as a boolean mask."""
         iteration = None if self.iteration is None else self.iteration[which]
         return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
 
@@ -49,7 +49,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Sample:
-    """Consecutive recorded control steps.
+    """Recorded control steps without a gap, from ``first`` to ``last``.
 
     ``iteration`` is the training iteration at the control step ``first``; None if no training was recorded.
     """
@@ -64,9 +64,9 @@ class Sample:
 
 
 class Source:
-    """Provides the data of a rerun recording for plots.
+    """Provides the data of a Rerun recording for plots.
 
-    ``env`` is the index of the plotted environment; the default is the environment in ``selection``, or else the first.
+    ``env`` is the index of the plotted environment; the default is ``selection.env_id`` or the first environment.
     """
 
     def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
@@ -84,24 +84,24 @@ class Source:
         return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
 
     def path(self, *parts: str) -> str:
-        """Join names to the path of a rerun entity of the plotted environment, such as ``env_3/base/height``."""
+        """Join names to the path of a Rerun entity of the plotted environment, such as ``env_3/base/height``."""
         return join(self.branch, *parts)
 
     def below(self, *parts: str) -> list[str]:
-        """Return the names of a rerun entity's children, such as all joints, in the recorded order if there is one."""
+        """Return the names of a Rerun entity's children, such as all joints, in the recorded order if there is one."""
         root = self.path(*parts)
         found, statics = self.children(root), self.recording.static(root)
         order = [str(name) for name in statics.get("terms", statics.get("names", []))]
         return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
 
     def children(self, root: str) -> list[str]:
-        """Return the names of the direct children of a rerun entity."""
+        """Return the names of the direct children of a Rerun entity."""
         head = f"{root}/"
         tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
         return list(dict.fromkeys(_plain(tail.split("/")[0]) for tail in tails))
 
     def find(self, term: str) -> str | None:
-        """Return the rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
+        """Return the Rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
 
         The name of a training scalar can omit the prefix ``training.`` and contain slashes instead of dots.
         """
@@ -112,7 +112,7 @@ class Source:
         return None
 
     def series(self, entity: str) -> Series:
-        """Return the selected numbers of a rerun entity; raise RunDirectoryError if the selection has no numbers."""
+        """Return the selected numbers of a Rerun entity; raise RunDirectoryError if the selection has no numbers."""
         found = self._series(entity)
         if not found.values.size:
             raise RunDirectoryError(f"no selected row of '{self.recording.path}' contains '{entity}'")
@@ -129,7 +129,7 @@ class Source:
         return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
 
     def maybe(self, *parts: str) -> Series | None:
-        """Return the selected rows of a rerun entity's numbers; None if no selected row contains such numbers."""
+        """Return the selected rows of a Rerun entity's numbers; None if no selected row contains such numbers."""
         entity = self.path(*parts)
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
@@ -152,7 +152,7 @@ class Source:
         return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
 
     def samples(self) -> list[Sample]:
-        """Return the samples (groups of consecutive recorded control steps), sorted by time."""
+        """Return the groups of consecutive recorded control steps (samples), sorted by time."""
         clock = self.clock()
         if clock is None or not len(clock.step):
             return []
@@ -205,8 +205,7 @@ class Source:
 
 
 def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
-    """Return a series' times and values for a plot; NaN interrupts the line after each episode end in ``ends``."""
-    # matplotlib interrupts a line at NaN.
+    """Return the times and values of a plotted line, with NaN wherever an episode or a sequence of steps ends."""
     cuts = np.union1d(np.flatnonzero(np.isin(series.step, ends)), np.flatnonzero(np.diff(series.step) > 1)) + 1
     cuts = cuts[cuts < len(series.step)]
     time = np.insert(series.time, cuts, series.time[cuts] if len(cuts) else [])
@@ -249,7 +248,7 @@ def seconds(table: pa.Table) -> Numbers:
 
 
 def parts_of(entity: str) -> list[str]:
-    """Split a rerun entity path into its names, without escape characters."""
+    """Split a Rerun entity path into its names, without escape characters."""
     return [_plain(part) for part in re.split(r"(?<!\\)/", entity.strip("/"))]
 
 

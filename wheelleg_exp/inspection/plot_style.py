@@ -120,7 +120,7 @@ def _saved(figure: Figure) -> Iterator[None]:
 
 
 def colour(index: int) -> str:
-    """Return the colour of curve number ``index`` in a plot of unordered curves, such as one curve per joint."""
+    """Return the colour of curve ``index`` in a plot of curves without an order, such as one curve per joint."""
     return PALETTE[index % len(PALETTE)]
 
 
@@ -192,7 +192,7 @@ def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[f
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return at most ``_MOST_PANELS`` panels, followed by a panel that states how many panels are omitted."""
+    """Return the first ``_MOST_PANELS`` plot panels, and a panel that states how many panels are omitted, if any."""
     if len(panels) <= _MOST_PANELS:
         return panels
     beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
@@ -210,7 +210,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
-    # For example, rows of 2 panels and rows of 3 panels need a grid with 6 columns.
+    # A wide panel spans all columns of the grid.
     lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
     grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
     for i, row in enumerate(rows):

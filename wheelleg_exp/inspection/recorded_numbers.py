@@ -34,7 +34,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of one recorded number; the mean, for example, is over finite values, and None without finite values.
+    """Statistics of the finite values of one recorded number; the mean, for example, is None without finite values.
 
     ``count``, ``first_at``, and ``last_at`` include values that are not finite. The standard deviation of n values has
     the divisor n, not n - 1. ``quantiles`` maps each share, such as 0.95, to the linearly interpolated quantile.
@@ -61,7 +61,7 @@ class Statistics:
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
-    """Return the statistics of ``values`` (n,); ``at`` maps a value's index to the time at which it was recorded."""
+    """Return the statistics of recorded ``values``, (n,); ``at`` returns the moment of the value with a given index."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     kept = values[finite]
@@ -73,7 +73,7 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
         return Statistics(*counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
-    with np.errstate(over="ignore", invalid="ignore"):  # Suppress numpy's warning about an overflow of ``kept**2``.
+    with np.errstate(over="ignore", invalid="ignore"):  # Suppress numpy's warning that a square overflows.
         mean, std, rms = float(kept.mean()), float(kept.std()), float(np.sqrt(np.mean(kept**2)))
     quantiles = dict(zip(QUANTILES, np.quantile(kept, QUANTILES).tolist(), strict=True))
     low_at, high_at = (at(int(low)), at(int(high))) if at else (None, None)
@@ -110,7 +110,7 @@ class Frames:
         return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
-        """Return the recorded frames for which the boolean array ``mask`` is true."""
+        """Return only those recorded frames whose element in the boolean array ``mask`` is true."""
         return Frames(self.table.filter(pa.array(mask)), self.env_id)
 
 
@@ -127,7 +127,7 @@ class View:
         return self.selection.env_ids(self.recording)
 
     def frames(self, group: str, env_id: int) -> Frames | None:
-        """Return an environment's selected rows of the numbers in a group such as ``rewards``; None without numbers."""
+        """Return an environment's selected rows of a group such as ``rewards``; None if the group was not recorded."""
         branch = self.recording.branch(env_id)
         path = f"{branch}/{group}" if branch else group
         if path not in self.recording.groups() and "scalars" not in self.recording.columns(path):
@@ -153,7 +153,7 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list]:
-        """Return a rerun entity's static data (data without time) in the first selected environment."""
+        """Return a Rerun entity's static data (data without time) in the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
@@ -212,7 +212,7 @@ class NumberEntry:
 
 
 def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """Return all numbers of one environment, and numbers of no environment such as training scalars, by name."""
+    """Return one environment's numbers, and numbers that all environments share, such as training scalars, by name."""
     return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
 
 

@@ -40,7 +40,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
         rgba = rgba_of(_at(statics, ("colors",), i, None))
-        if "half_sizes" in statics:  # In rerun, boxes and ellipsoids both have the component `half_sizes`.
+        if "half_sizes" in statics:  # In Rerun, boxes and ellipsoids both have the component `half_sizes`.
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
             yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
             continue
@@ -48,7 +48,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
         if "centers" in statics:
             yield Shape("cylinder", (radius, half), pos, quat, rgba)
         else:
-            # The origin of a rerun capsule is the centre of one cap, but MuJoCo draws a capsule around its centre.
+            # Rerun places a capsule by the centre of one cap, MuJoCo by the centre of the whole capsule.
             centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
             yield Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
 
@@ -149,7 +149,7 @@ def motion_of(source: Source, scene: Scene) -> Motion:
         message = f"the bodies of '{source.recording.path}' have no common step"
         raise RunDirectoryError(message, expected="a complete recording")
     step = np.asarray(first.column(STEP).combine_chunks())
-    # rerun stores quaternions as xyzw; MuJoCo and this project use wxyz.
+    # Rerun stores quaternions as xyzw; MuJoCo and this project use wxyz.
     pos = np.stack([_last_finite(_vectors(t, "translation", 3)) for t in tables], axis=1)
     quat = np.stack([_last_finite(_vectors(t, "quaternion", 4)) for t in tables], axis=1)[..., [3, 0, 1, 2]]
     iteration = None
@@ -159,17 +159,17 @@ def motion_of(source: Source, scene: Scene) -> Motion:
 
 
 def source_body(source: Source, name: str) -> str:
-    """Return the rerun entity path of a robot's body."""
+    """Return the Rerun entity path of a robot's body."""
     return join(WORLD, source.branch, name)
 
 
 def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
-    """Return the indices of the motion's frames from the first to the last control step of a recorded interval."""
+    """Return the indices of those frames of a motion that belong to one recorded interval (sample)."""
     return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
 
 
 def _root(source: Source, names: list[str]) -> int:
-    """Return the base body's index; if the base's name was not recorded, find the body at the base's height."""
+    """Return the index of the base body; if its name was not recorded, find the body at the base's recorded height."""
     known = _property(source, "root")
     if known and str(known[0]) in names:
         return names.index(str(known[0]))
@@ -273,7 +273,7 @@ _LOOKED_AT = 12
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera of constant direction that follows the moving point ``lookat``, (n, 3), m, at a constant distance, m."""
+    """A camera with constant direction and distance (m) that follows the point ``lookat``, (n, 3), m, over n frames."""
 
     distance: float
     lookat: Array
@@ -328,7 +328,7 @@ def caption_lines(motion: Motion, row: int, env_id: int | None = None) -> list[s
 
 
 def arrow_legend(motion: Motion) -> dict[str, tuple[float, ...]]:
-    """Return the label and the colour of each kind of arrow that at least one frame shows."""
+    """Return the label and the colour of each kind of arrow in a motion, except arrows whose length is always 0."""
     return {a.name: a.rgba for a in motion.arrows if any(np.abs(v).max(initial=0.0) > 0 for v in a.vectors)}
 
 

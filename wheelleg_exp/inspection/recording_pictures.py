@@ -77,14 +77,14 @@ def screenshot(
 ) -> float:
     """Write a picture of the robot atomically and return the picture's simulated time, s.
 
-    ``time_s`` is the picture's simulated time, s; if ``iteration`` is given, time 0 is the start of this training
-    iteration. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a
-    recorded number, such as ``terminations.base_contact``, the picture shows the first time at which this number is
-    nonzero. If ``time_s`` and ``at`` are None, the picture shows the middle of the training iteration ``iteration``. If
-    ``time_s``, ``at``, and ``iteration`` are None, the picture shows the middle of the last recorded sequence of
-    control steps. Without ``env``, the picture shows the environment in which the recorded number ``at`` is nonzero
-    first. Without ``env`` and ``at``, the picture shows the first environment. ``screenshot`` raises WheellegError for
-    an invalid time, picture size, or path.
+    ``time_s`` is the picture's simulated time, s, counted from the start of the training iteration ``iteration``, if
+    given. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a recorded
+    number, such as ``terminations.base_contact``, the picture shows the first time at which this number is nonzero. If
+    ``time_s`` and ``at`` are None, the picture shows the middle of the training iteration ``iteration``. If ``time_s``,
+    ``at``, and ``iteration`` are None, the picture shows the middle of the last recorded sequence of control steps.
+    Without ``env``, the picture shows the environment in which the recorded number ``at`` is nonzero first. Without
+    ``env`` and ``at``, the picture shows the first environment. ``screenshot`` raises WheellegError for an invalid
+    time, picture size, or path.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)
@@ -187,7 +187,7 @@ def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
 
 
 def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
-    """Return the environment in which the recorded number ``at`` is nonzero first; None if it is never nonzero."""
+    """Return the index of the environment whose recorded number ``at`` becomes nonzero first; None if it stays zero."""
     if _length(at) is not None:
         return None
     found: dict[int, int] = {}

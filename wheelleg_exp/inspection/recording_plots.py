@@ -44,7 +44,7 @@ class Plot:
     is_of_last: bool = False
 
     def heading(self, source: Source) -> str:
-        """Return a plot's title, which can name the plotted environment and the first plotted training iteration."""
+        """Return a plot's title, such as "Tracking, environment 3, last sample, from iteration 50 on"."""
         is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
@@ -147,7 +147,7 @@ def require_path(path: Path) -> str:
 def _term(source: Source, term: str) -> list[Panel]:
     entity = source.find(term)
     if entity is None:
-        source.series(source.path(*term.split(".")))  # Raise the error that no recorded number has the name `term`.
+        source.series(source.path(*term.split(".")))  # No recorded number is named `term`, so raise an error.
         return []
     if entity.startswith(f"{TRAINING}/"):
         series = source.series(entity)
@@ -166,7 +166,7 @@ def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) 
     if not found:
         if small:
             return []
-        next(iter(sources.values())).series(term)  # Raise the error that no recorded number has the name `term`.
+        next(iter(sources.values())).series(term)  # No recorded number is named `term`, so raise an error.
     series = {label: sources[label].series(entity) for label, entity in found.items()}
     names = max(series.values(), key=lambda s: s.values.shape[1]).names
     word = term.removeprefix(f"{TRAINING}/")

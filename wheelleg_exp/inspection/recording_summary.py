@@ -40,7 +40,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class Sample:
-    """Statistics of the episodes of all environments in one sample, that is, in one of a training's recorded intervals.
+    """Statistics of the episodes that were recorded in one interval (sample) of a training, over all environments.
 
     ``iteration`` and ``last_iteration`` are the training iterations at the control steps ``first_step`` and
     ``last_step``. ``episodes`` counts complete episodes, ``cut`` counts incomplete episodes. ``survival`` is the share
@@ -79,10 +79,10 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 
 
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
-    """Group a training's recorded episodes by recorded interval (sample), and return the statistics of each sample.
+    """Group the recorded episodes of a training by recorded interval (sample), and return statistics of each interval.
 
-    ``longest`` is the maximum episode length in control steps. When a sample starts, the recording of each environment
-    waits for its next reset, at most ``longest`` control steps.
+    ``longest`` is the maximum episode length in control steps. In each sample, an environment's recording starts at the
+    environment's first reset, within ``longest`` control steps.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -124,7 +124,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a recording, such as ``joints``, with its numbers of rerun entities and rows in all environments."""
+    """A part of a recording, such as ``joints``: how many Rerun entities and rows it has in all environments."""
 
     name: str
     entities: int
@@ -133,11 +133,11 @@ class Part:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """Statistics of recorded episodes; ``failed`` and all attributes after ``failed`` cover only complete episodes.
+    """Statistics of recorded episodes; ``failed`` and the later attributes cover only complete episodes.
 
     ``begun_before`` is the number of episodes that were running when recording started. ``unfinished`` is the number of
-    episodes that were running when recording paused or stopped. In ``ended_by``, an episode with two simultaneous
-    terminations has one entry that contains both names.
+    episodes that were running when recording paused or stopped. ``ended_by`` counts episodes by termination term; an
+    episode that two terms ended counts under a key with both names.
     """
 
     count: int
@@ -157,10 +157,10 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None for a recording that another program wrote. For a training, all statistics cover ``sample``, the
-    training's last recorded interval with a complete episode. If the user selected rows, or the recording is not of a
-    training, ``sample`` is None, and the statistics cover all selected rows. ``Summary.frames`` contains two counts:
-    the recorded frames that the summary's statistics cover, and all recorded frames. ``notes`` are messages about the
+    ``purpose`` is None for a recording that another program wrote. For a training, motion statistics cover only
+    ``sample``, the last recorded interval with a complete episode. ``sample`` is None if the user selected rows or no
+    training was recorded; the statistics then cover all selected rows. ``Summary.frames`` contains two counts: the
+    recorded frames that the summary's statistics cover, and all recorded frames. ``notes`` are messages about the
     recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
     roll, and pitch (rad).
     """
@@ -194,7 +194,7 @@ class Summary:
 
 
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
-    """Return the summary of a recording, in which data that was not recorded is None or an empty list.
+    """Return the summary of a recording; data that was not recorded is None or an empty list.
 
     ``selection`` selects the rows of the recording that the statistics cover. By default, training scalars cover the
     whole training; motion statistics cover only its last recorded interval (``Summary.sample``).

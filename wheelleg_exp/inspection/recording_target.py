@@ -1,4 +1,4 @@
-"""Find the file of the rerun recording that a command-line argument names."""
+"""Find the file of the Rerun recording that a command-line argument names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SUFFIX = ".rrd"
 
 @dataclass(frozen=True)
 class Target:
-    """The file of a rerun recording, and the training run that wrote the file, or None if no run wrote the file."""
+    """The file of a Rerun recording; ``run`` is the training run that wrote the file, or None."""
 
     path: Path
     run: RunDirectory | None
@@ -38,7 +38,7 @@ class Target:
     def resting(self) -> Iterator[None]:
         """Lock the recording's run directory inside a ``with`` block, so that no process can resume the run."""
         run = self.run if self.status is not None else None
-        # A user without write access to the run's lock file cannot resume the run, and therefore needs no lock.
+        # Skip the lock if the user has no write access to the lock file, because this user cannot resume the run.
         with ExitStack() as stack:
             if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
                 stack.enter_context(RunLock(run).held())
@@ -51,7 +51,7 @@ class Target:
 
 
 def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
-    """Return the rerun recording that a command-line argument (run or file) names.
+    """Return the file and the run of the recording that a command-line argument, such as ``latest``, names.
 
     The argument is a recording's file, a folder with a recording such as ``<run>/play/<time>``, or a run: its path, its
     id, or ``latest``. For a run, ``find_target`` returns the recording of the training. If ``play`` is true, the result

@@ -1,7 +1,7 @@
-"""rerun's viewer with one recording: in a window, in a browser, or as a screenshot.
+"""Rerun's viewer with one recording: in a window, in a browser, or as a screenshot.
 
-rerun's viewer and the web server listen on the loopback address only. The page of the web viewer loads nothing from
-other hosts: the server removes the fonts and usage statistics of rerun's page, and a content security policy stops the
+Rerun's viewer and the web server listen on the loopback address only. The page of the web viewer loads nothing from
+other hosts: the server removes the fonts and usage statistics of Rerun's page, and a content security policy stops the
 browser from requesting them.
 """
 
@@ -39,13 +39,13 @@ _CAUSES = (
     "panic",
     "error",
     "failed",
-)  # If rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
+)  # If Rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @contextmanager
 def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Start rerun's viewer without network access. Yield the viewer's process and its output file."""
+    """Start Rerun's viewer without network access. Yield the viewer's process and its output file."""
     command = [rerun_program(), "--bind", LOOPBACK, *arguments]
     with (
         tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder,
@@ -87,11 +87,11 @@ Files = Mapping[str, tuple[str, bytes]]
 
 
 class WebViewer:
-    """A local web server for rerun's web viewer and one recording, by default at a free port."""
+    """A local web server for Rerun's web viewer and one recording, by default at a free port."""
 
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
-            raise RunDirectoryError(f"the recording '{path}' does not exist", expected="a rerun recording")
+            raise RunDirectoryError(f"the recording '{path}' does not exist", expected="a Rerun recording")
         files = viewer_files()
         try:
             self._server = _Server((LOOPBACK, port), partial(_Handler, files, Path(path)))
@@ -121,7 +121,7 @@ class WebViewer:
 
 
 def viewer_files() -> Files:
-    """Return the content and MIME type of each file of rerun's web viewer, by URL path."""
+    """Return the content and MIME type of each file of Rerun's web viewer, by URL path."""
     port, grpc = free_port(), free_port()
     arguments = ["--serve-web", "--port", str(grpc), "--web-viewer-port", str(port)]
     with viewer(arguments) as (process, output):
@@ -131,7 +131,7 @@ def viewer_files() -> Files:
                 return {f"/{name}": _fetched(port, name) for name in _FILES}
             except OSError as error:
                 if process.poll() is not None or time.monotonic() > end:
-                    raise SimulationFailure(f"rerun's web viewer does not start: {failure_line(output)}") from error
+                    raise SimulationFailure(f"Rerun's web viewer does not start: {failure_line(output)}") from error
                 time.sleep(0.05)
 
 
@@ -175,7 +175,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
         if address.path == "/" and "url=" not in address.query:
-            # Redirect the browser to the URL that shows the recording in rerun's web viewer.
+            # Redirect the browser to the URL that shows the recording in Rerun's web viewer.
             page = f"http://{self.headers['Host']}/"
             query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
             self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
@@ -208,13 +208,13 @@ _START_S, _ENDING_S, _SETTLE_S, _STILL = 30.0, 2.0, 0.4, 3
 
 
 def open_window(path: Path) -> None:
-    """Show a recording in a window of rerun's viewer until the user closes the window."""
+    """Show a recording in a window of Rerun's viewer until the user closes the window."""
     if not has_display():
         expected = "a desktop; --web serves the viewer for a browser, --screenshot OUT.png --viewer draws a picture"
         raise WheellegError("this machine has no display for a viewer window", key="--open", expected=expected)
     with viewer(["--port", str(free_port()), "--hide-welcome-screen", str(path.absolute())]) as (process, output):
         if process.wait() != 0:
-            raise SimulationFailure(f"rerun's viewer ended with status {process.returncode}: {failure_line(output)}")
+            raise SimulationFailure(f"Rerun's viewer ended with status {process.returncode}: {failure_line(output)}")
 
 
 def has_display() -> bool:
@@ -223,7 +223,7 @@ def has_display() -> bool:
 
 
 def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
-    """Serve a recording in rerun's web viewer on the loopback address, until Ctrl-C raises KeyboardInterrupt.
+    """Serve a recording in Rerun's web viewer on the loopback address, until Ctrl-C raises KeyboardInterrupt.
 
     The function ``say`` prints lines for the user; the first line ends with the viewer's URL. With port 0, the server
     uses a free port. If ``browser`` is true, an installed browser opens the viewer's URL.
@@ -237,7 +237,7 @@ def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: boo
 
 
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
-    """Write a screenshot of a recording in rerun's viewer atomically to a file.
+    """Write a screenshot of a recording in Rerun's viewer atomically to a file.
 
     ``time_s`` is the simulated time to show, s; None shows the viewer's default time. Without a Vulkan driver,
     ``viewer_screenshot`` raises NoGraphics, whose message names the packages to install.
@@ -248,7 +248,7 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
     port = free_port()
     arguments = ["--headless", "--port", str(port), "--window-size", f"{width}x{height}", "--hide-welcome-screen"]
     with viewer(arguments) as (process, log), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Suppress rerun's warning that the class ViewerClient is experimental.
+        warnings.simplefilter("ignore")  # Suppress Rerun's warning that the class ViewerClient is experimental.
         try:
             client = _connected(port, process, log)
             client.open(str(path.absolute()))
@@ -256,11 +256,11 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
                 client.set_time(SIM_TIME, duration=time_s, play_state="paused")
             picture = _still(client)
         except (RuntimeError, ConnectionError, TimeoutError) as error:
-            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, rerun's viewer exits after its start.
+            with suppress(subprocess.TimeoutExpired):  # Without a Vulkan driver, Rerun's viewer exits after its start.
                 process.wait(_ENDING_S)
             if process.returncode is not None:
                 raise _no_graphics(log) from error
-            raise SimulationFailure(f"rerun's viewer cannot draw: {str(error).splitlines()[0]}") from error
+            raise SimulationFailure(f"Rerun's viewer cannot draw: {str(error).splitlines()[0]}") from error
     write_new(output, picture)
 
 
@@ -275,7 +275,7 @@ def _connected(port: int, process: subprocess.Popen[bytes], output: IO[bytes]) -
             return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         except ConnectionError as error:
             if time.monotonic() > end:
-                raise SimulationFailure(f"rerun's viewer does not answer: {failure_line(output)}") from error
+                raise SimulationFailure(f"Rerun's viewer does not answer: {failure_line(output)}") from error
             time.sleep(0.1)
 
 
@@ -284,7 +284,7 @@ def _no_graphics(output: IO[bytes]) -> NoGraphics:
 
 
 def _still(client: Any) -> bytes:
-    """Wait until two consecutive screenshots are equal, because rerun's viewer loads data over several frames."""
+    """Wait until two consecutive screenshots are equal, because Rerun's viewer loads data over several frames."""
     now = bytes(client.take_screenshot())
     for _ in range(_STILL):
         time.sleep(_SETTLE_S)

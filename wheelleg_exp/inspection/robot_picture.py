@@ -29,7 +29,7 @@ _FINER = 2
 _SAMPLES = 4
 _GREY, _WHEEL, _INSIDE = (0.62, 0.65, 0.7, 0.45), (0.25, 0.28, 0.33, 0.75), (0.95, 0.5, 0.1, 0.6)
 _MASS, _SUPPORT, _CONTACT = (0.85, 0.1, 0.15, 1.0), (0.1, 0.55, 0.25, 1.0), (0.1, 0.35, 0.85, 1.0)
-_BALL, _ROD = 0.025, 0.006  # radii of marker spheres and marker rods as fractions of the robot's size
+_BALL, _ROD = 0.025, 0.006  # A marker sphere has a radius of 2.5 % of the robot's size, a rod 0.6 %.
 
 
 def require_picture(path: Path) -> None:

@@ -51,8 +51,8 @@ class Selection:
     """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
     An attribute of ``Selection`` that is None restricts nothing; ``env_id=None``, for example, selects all
-    environments. ``begin`` and ``end`` in seconds have a tolerance of half a control step, so that users can enter
-    rounded times.
+    environments. Times up to half a control step outside ``begin`` and ``end`` (s) are also selected, because users
+    enter rounded times.
     """
 
     env_id: int | None = None
@@ -86,11 +86,11 @@ class Selection:
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
-        """Return whether the selection includes a row with the given control step, time, and training iteration."""
+        """Return whether a row with the given control step, time, and training iteration is selected."""
         columns = {"row": [0], STEP: [step], SIM_TIME: [time_s], ITERATION: [iteration]}
         try:
             return len(self.apply(pa.table({name: values for name, values in columns.items() if values != [None]}))) > 0
-        except WheellegError:  # The selection restricts times or iterations, but this row has no time or no iteration.
+        except WheellegError:  # A row without a time, for example, is not in a selection of times.
             return False
 
 
@@ -114,7 +114,7 @@ def _half_step(table: pa.Table) -> float:
         return _CLOSE
     ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
     lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
-    # In another program's recording, control steps can have different durations.
+    # If control steps of another program differ in duration, the tolerance of selected times is only ``_CLOSE``.
     return max(0.5 * lengths[1], _CLOSE) if math.isclose(*lengths, rel_tol=1e-3) else _CLOSE
 
 

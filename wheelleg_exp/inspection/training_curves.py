@@ -29,8 +29,8 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-# Training scalars whose keys start with a prefix in `_ERRORS`, such as "Metrics/", are command tracking errors.
-# If scalars with several of the prefixes in `_ERRORS` exist, only those with the first prefix are plotted.
+# The keys of training scalars for a command's tracking error start with one of the prefixes in `_ERRORS`.
+# Plot only the scalars with the first prefix in `_ERRORS` that the training logged.
 _ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
@@ -65,8 +65,7 @@ def endings(scalars: Scalars) -> list[Panel]:
 def reward_course(scalars: Scalars) -> list[Panel]:
     """Return plot panels of the weighted reward terms over the training, and of the reward terms' last values.
 
-    The training scalar of a reward term is the sum over an episode, divided by the maximum episode duration. If an
-    episode ends after half the maximum duration, the training scalar is half the mean reward per second.
+    The training scalar of a reward term is the term's sum over an episode, divided by the maximum episode duration.
     """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
@@ -89,7 +88,7 @@ def reward_course(scalars: Scalars) -> list[Panel]:
 
 
 def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
-    """Return a bar plot of the mean weighted value of each reward term, with its share of all absolute values."""
+    """Return a bar plot of each reward term's mean weighted value and its share of the sum of all absolute means."""
     order = sorted(means, key=lambda name: abs(means[name]))
     total = sum(abs(v) for v in means.values()) or 1.0
 

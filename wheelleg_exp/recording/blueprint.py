@@ -1,4 +1,4 @@
-"""The layout of rerun's viewer: the robot on the left, plots and texts on the right.
+"""The layout of Rerun's viewer: the robot on the left, plots and texts on the right.
 
 The viewer first shows a training's learning curves, a robot's motion under a policy, or an evaluation's metrics.
 """
@@ -30,9 +30,9 @@ _GROUPS = {
 
 @dataclass(frozen=True)
 class EnvLayout:
-    """The properties of one recorded environment that determine the layout of rerun's viewer.
+    """The properties of one recorded environment that determine the layout of Rerun's viewer.
 
-    ``root`` is the rerun entity of the robot's base, and ``size`` is the height of the robot in m. ``joints`` maps each
+    ``root`` is the Rerun entity of the robot's base, and ``size`` is the height of the robot in m. ``joints`` maps each
     joint to True if its actuator controls the position, and to False if it controls the velocity.
     """
 
@@ -50,7 +50,7 @@ class EnvLayout:
 def blueprint(
     envs: Sequence[EnvLayout], purpose: Purpose, *, documents: Sequence[str], training: Sequence[str]
 ) -> rrb.Blueprint:
-    """Return the layout of rerun's viewer, in which the camera follows the robot of the first environment.
+    """Return the layout of Rerun's viewer, in which the camera follows the robot of the first environment.
 
     ``purpose`` (training, play, or evaluation) determines the first tab of the viewer. ``documents`` are the names of
     the recorded texts, and ``training`` are the keys of the recorded training scalars.
@@ -73,7 +73,7 @@ def blueprint(
 
 
 def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
-    """Return the 3D view of rerun's viewer; its camera follows the first robot, and collision shapes are hidden."""
+    """Return the 3D view of Rerun's viewer; its camera follows the first robot, and collision shapes are hidden."""
     size, root = envs[0].size, envs[0].root
     distance = size * (1.0 + 0.6 * (len(envs) - 1))
     position, target, up = [1.3 * distance, -1.45 * distance, 1.1 * distance], [0.0, 0.0, 0.4 * size], [0.0, 0.0, 1.0]

@@ -1,4 +1,4 @@
-"""Define the paths of the rerun entities in a recording.
+"""Define the paths of the Rerun entities in a recording.
 
 If one environment is recorded, its entity paths have no prefix (``base/height``, ``world/<body>``). If several
 environments are recorded, each environment has its own prefix (``env_3/base/height``, ``world/env_3/<body>``).
@@ -15,7 +15,7 @@ OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
 LOG = "log"
-HIDDEN = "__"  # rerun's viewer hides each entity whose path starts with two underscores.
+HIDDEN = "__"  # Rerun's viewer hides each entity whose path starts with two underscores.
 PROPERTIES = "__properties"
 OWN = "wheelleg"  # This program stores a recording's properties, such as its purpose, below the key `wheelleg`.
 BRANCH = re.compile(r"^env_([0-9]{1,9})/")
@@ -43,38 +43,38 @@ _UNITS: dict[tuple[str, ...], str] = {
 
 
 def join(*parts: str) -> str:
-    """Join names to a rerun entity path, and escape special characters in the names."""
-    import rerun as rr  # Import rerun only here, because the import takes 0.25 s.
+    """Join names to a Rerun entity path, and escape special characters in the names."""
+    import rerun as rr  # Import Rerun only here, because the import takes 0.25 s.
 
     return "/".join(rr.escape_entity_path_part(part) for part in parts if part)
 
 
 def join_key(root: str, key: str) -> str:
-    """Return the rerun entity path, below ``root``, for the key of a scalar such as ``Episode_Reward/alive``."""
+    """Return the Rerun entity path, below ``root``, for the key of a scalar such as ``Episode_Reward/alive``."""
     return join(root, *key.split("/"))
 
 
 @dataclass(frozen=True)
 class EnvPaths:
-    """Builds one environment's rerun entity paths; ``branch`` is their prefix, such as ``env_3``, and can be empty."""
+    """Builds the Rerun entity paths of one environment, which contain ``branch`` (empty, or such as ``env_3``)."""
 
     branch: str
 
     def data(self, *parts: str) -> str:
-        """Return the rerun entity path of the environment's numbers or texts, such as ``env_3/base/height``."""
+        """Return the Rerun entity path of the environment's numbers or texts, such as ``env_3/base/height``."""
         return join(self.branch, *parts)
 
     def body(self, name: str, *parts: str) -> str:
-        """Return the rerun entity path of a MuJoCo body, or of a geom that is fixed to the body."""
+        """Return the Rerun entity path of a MuJoCo body, or of a geom that is fixed to the body."""
         return join(WORLD, self.branch, name, *parts)
 
     def overlay(self, *parts: str) -> str:
-        """Return the rerun entity path of arrows, colliders, or other overlays in the 3D view."""
+        """Return the Rerun entity path of arrows, colliders, or other overlays in the 3D view."""
         return join(OVERLAY, self.branch, *parts)
 
 
 def unit(entity: str) -> str | None:
-    """Return the unit of a rerun entity's numbers; None if the numbers have no unit or different units."""
+    """Return the unit of all numbers in a Rerun entity; None if the numbers have no unit or have different units."""
     parts = entity.strip("/").split("/")
     if parts[0].startswith("env_") and len(parts) > 2:
         parts = parts[1:]
@@ -85,6 +85,6 @@ def unit(entity: str) -> str | None:
 
 
 def key_below(root: str, entity: str) -> str | None:
-    """Convert a rerun entity path below ``root`` to a scalar's key such as ``Loss/value``; None for other paths."""
+    """Return the scalar's key, such as ``Loss/value``, for a Rerun entity path below ``root``; None for other paths."""
     head = f"{root}/"
     return entity.removeprefix(head).replace("\\", "") if entity.startswith(head) else None

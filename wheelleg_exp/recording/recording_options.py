@@ -9,7 +9,7 @@ from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """The config section ``recording``. Options that the configs of old runs lack have defaults.
+    """The config section ``recording``. Options with a default can be missing in the configs of old runs.
 
     Attributes:
         enabled: whether a recording is written.
@@ -34,9 +34,8 @@ class RecordingOptions:
 class Sample:
     """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    After a call of ``begin``, recording starts with the next episode. After ``enough`` recorded control steps,
-    recording stops at the end of the current episode. A resumed run reads the numbers of recorded control steps from
-    the recording, not from a checkpoint.
+    After a call of ``begin``, recording starts with the next episode. A resumed run learns from the recording, not from
+    a checkpoint, which control steps were recorded.
     """
 
     def __init__(self) -> None:
@@ -45,11 +44,11 @@ class Sample:
         self._is_in_episode = False
 
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
-        """Start or resume the recording of complete episodes, of which ``taken`` control steps are already recorded.
+        """Record complete episodes from now on; if a run resumes, ``taken`` control steps are already recorded.
 
         After ``enough`` control steps, recording stops at the end of the current episode. If ``enough`` is 0, nothing
         is recorded. After ``most`` control steps, recording stops at once, even in the middle of an episode.
-        ``is_in_episode`` is true if the current episode is being recorded.
+        ``is_in_episode`` is true if the earlier control steps of the current episode were recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0

@@ -1,4 +1,4 @@
-"""Run rerun's command-line program, which rewrites recordings.
+"""Run Rerun's command-line program, which rewrites recordings.
 
 A rewritten recording has a few large data chunks instead of thousands of small chunks, and ends with an index.
 """
@@ -20,7 +20,7 @@ _LONGEST_REASON = 200
 
 
 def rerun_program() -> str:
-    """Return the path of rerun's executable, not of the Python script that starts it."""
+    """Return the path of Rerun's executable, not of the Python script that starts it."""
     package = importlib.util.find_spec("rerun_cli")
     if package is not None and package.origin is not None:
         program = Path(package.origin).with_name("rerun")
@@ -32,13 +32,13 @@ def rerun_program() -> str:
 def run_rerun(*words: str) -> tuple[str | None, list[str]]:
     """Run ``rerun rrd`` with arguments.
 
-    Return the reason for a failure (None if rerun succeeded), and the lines of rerun's log.
+    Return the reason why the command failed, or None, and the lines that it logged.
     """
     command = [rerun_program(), "rrd", *words]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, stdin=subprocess.DEVNULL)
     except FileNotFoundError:
-        return "rerun's program is missing", []
+        return "Rerun's program is missing", []
     except subprocess.TimeoutExpired:
         return f"rerun did not finish within {_TIMEOUT_S:.0f} s", []
     lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
@@ -51,7 +51,7 @@ def optimize_recording(path: Path) -> str | None:
     """Compress a closed recording to about a third of its size. Return the reason if compression failed, else None.
 
     Compression does not change the recorded values. The compressed file atomically replaces the original file. If the
-    disk is full or rerun's program is missing, the recording remains unchanged and without an index.
+    disk is full or Rerun's program is missing, the recording remains unchanged and without an index.
     """
     rewritten = temporary_name(path)
     try:

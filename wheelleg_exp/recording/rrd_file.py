@@ -1,19 +1,19 @@
-"""Read and write the messages of an rrd file, the format of rerun recordings.
+"""Read and write the messages of an rrd file, the format of Rerun recordings.
 
-rerun's SDK encodes and decodes the messages themselves.
+Rerun's SDK encodes and decodes the content of messages.
 
 An rrd file consists of a header of 12 bytes and messages. A message consists of its kind (u64), the length of its
 content in bytes (u64), and its content. A closed rrd file ends with a message that contains an index, and with 32 bytes
 that contain the index's position.
 
-To extend a recording, rerun's SDK writes new messages to a temporary file; all but the index are appended to the
-recording. Measured with rerun 0.41:
+Rerun's SDK writes new messages to a temporary file; these messages, but not their index, are then appended to the
+recording. Measured with Rerun 0.41:
 
-- The file stream of rerun's SDK leaves two threads and about 1 MB in the process for ever, and never returns when the
-  disk is full. rerun's function ``write_rrd`` leaves no threads in the process, and raises an error if the disk is
-  full. ``write_rrd`` takes 9 ms to write 16 rows of 60 rerun entities.
-- The reader of rerun's SDK raises an error for a truncated file. rerun's reader terminated the process for 4 of 300
-  damaged files without an index, and for none of 400 damaged files with an index. rerun's own program first rewrites
+- The file stream of Rerun's SDK leaves two threads and about 1 MB in the process for ever, and never returns when the
+  disk is full. Rerun's function ``write_rrd`` leaves no threads in the process, and raises an error if the disk is
+  full. ``write_rrd`` takes 9 ms to write 16 rows of 60 Rerun entities.
+- The reader of Rerun's SDK raises an error for a truncated file. Rerun's reader terminated the process for 4 of 300
+  damaged files without an index, and for none of 400 damaged files with an index. Rerun's own program first rewrites
   recordings that have no index.
 """
 
@@ -88,7 +88,7 @@ class RrdFile:
         return _FOOTER_MARK in self.read(last.end, self.size)
 
     def is_followed_by_damage(self, last: Message | None) -> bool:
-        """Return whether the last complete message is followed by bytes that cannot be the start of a message."""
+        """Return whether damaged bytes, which cannot start a message, follow the last complete message."""
         begin = HEADER_SIZE if last is None else last.end
         rest = self.read(begin, begin + _FOOTER_SIZE + 1)
         if last is not None and last.kind == INDEX:
@@ -96,7 +96,7 @@ class RrdFile:
         return len(rest) >= 8 and int.from_bytes(rest[:8], "little") > BLUEPRINT_ACTIVATION
 
     def body(self, begin: int = HEADER_SIZE) -> Iterator[bytes]:
-        """Yield the bytes of the complete messages from an offset to the end of the rrd file, without the index."""
+        """Yield the bytes of each complete message from the file offset ``begin`` on, except the index."""
         for message in self.messages(begin):
             if message.kind != INDEX:
                 yield self.read(message.begin, message.end)
@@ -113,7 +113,7 @@ def encoded_chunks(chunks: Iterable[Any], recording_id: str) -> bytes:
 
 
 def encoded_blueprint(blueprint: Any) -> bytes:
-    """Encode a layout of rerun's viewer (blueprint) as rrd messages, which set the default layout of a recording."""
+    """Encode a layout of Rerun's viewer (blueprint) as rrd messages, which set the default layout of a recording."""
     return b"".join(_temporary_file(lambda path: blueprint.to_blueprint().save(APPLICATION, path)).body())
 
 

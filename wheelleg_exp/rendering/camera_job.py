@@ -13,7 +13,7 @@ from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
-# ``FORMS`` maps each picture layer to the number of its channels and the data type of its pixels.
+# ``FORMS`` maps each picture layer to its channels per pixel and its data type, such as 3 and uint8 for colour.
 FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
 _BEYOND = 0.999  # A pixel whose depth is above 99.9 % of the far clipping distance shows no surface.
 _AMBIENT = 0.4
@@ -34,7 +34,7 @@ class CameraOrder:
 
 @dataclass(frozen=True)
 class Poses:
-    """The joint positions (n, nq) of n simulations; each simulation gets one picture per layer, such as depth."""
+    """The joint positions (n, nq) at which to draw n simulations, with one picture per layer, such as depth."""
 
     qpos: Array
 

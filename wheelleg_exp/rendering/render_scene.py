@@ -27,8 +27,8 @@ class Shape:
     pos: tuple[float, ...]
     quat: tuple[float, ...]  # wxyz
     rgba: tuple[float, ...]  # 0 to 1
-    vertices: NDArray[np.float64] | None = None  # The positions of a mesh's n vertices have the shape (n, 3), in m.
-    faces: NDArray[np.int64] | None = None  # The three vertex indices of a mesh's m triangles have the shape (m, 3).
+    vertices: NDArray[np.float64] | None = None  # Row i of ``vertices``, (n, 3), is the position of vertex i, m.
+    faces: NDArray[np.int64] | None = None  # Row i of ``faces``, (m, 3), lists the three vertices of triangle i.
     normals: NDArray[np.float64] | None = None  # (n, 3)
 
     def corners(self) -> Array:
@@ -75,13 +75,13 @@ class Scene:
 
 
 def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, that enclose the robot at body positions (B, 3), m, and orientations (B, 4), wxyz."""
+    """Return corners (n, 3), m, of boxes around shapes at body positions (B, 3), m, and orientations (B, 4), wxyz."""
     corners = {b: [shape.corners() for shape in shapes] for b, shapes in enumerate(scene.bodies.values()) if shapes}
     return np.concatenate([rotated(quat[b], np.concatenate(found)) + pos[b] for b, found in corners.items()])
 
 
 AZIMUTH, ELEVATION = 142.0, -14.0  # The camera's azimuth and elevation are in degrees, as MuJoCo defines them.
-FOV = 30.0  # A small vertical field of view, in degrees, draws the robot without distortion.
+FOV = 30.0  # A small vertical field of view, in degrees, avoids perspective distortion of the robot.
 _FILLED = 0.64  # The robot fills 64 % of the picture's height or width.
 
 

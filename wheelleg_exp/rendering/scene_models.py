@@ -75,7 +75,7 @@ def is_plane(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
-    """Return a body's drawn geoms and hidden colliders; without visual geoms, the colliders are drawn."""
+    """Return the drawn geoms and the hidden colliders of a body; a body without visual geoms shows its colliders."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
     visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
@@ -128,7 +128,7 @@ class Kinematics:
         self.xquat: Array = self._data.xquat
 
     def update(self, qpos: Array) -> None:
-        """Set ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, to all body poses at joint positions ``qpos`` (nq,)."""
+        """Compute the body poses ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, at joint positions ``qpos`` (nq,)."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
 
@@ -142,7 +142,7 @@ class Kinematics:
         return positions, orientations
 
     def height(self, root: int, qpos: Array) -> float:
-        """Return the height, m, of the robot with root body ``root`` at joint positions ``qpos``, but at least 0.01."""
+        """Return the height, m, of the robot with base ``root`` at joint positions ``qpos``; the minimum is 0.01 m."""
         self.update(qpos)
         # ``bodies`` lists the body ``root`` and all its descendants.
         bodies = [root]
@@ -164,7 +164,7 @@ _SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
 
 
 def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a scene; its first mocap body carries the light, the others are scene bodies.
+    """Return a scene's compiled MuJoCo model; the first mocap body carries the lights, the others are scene bodies.
 
     ``samples`` is the number of multisamples per pixel; 0 disables multisampling for drivers that lack it.
     """
@@ -175,7 +175,7 @@ def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.M
     spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
         _floor(spec, scene.ground.height, scene.ground.tile)
-    # A main light with shadows and a weak light from the opposite side follow the robot, on the body ``rig``.
+    # The body ``rig`` follows the robot with a main light that casts shadows, and a weak light on the opposite side.
     rig = spec.worldbody.add_body(name=RIG, mocap=True)
     for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
         position = np.array(place) * 4.0 * scene.size

@@ -65,7 +65,7 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
             continue
         try:
             stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
-        except (ValueError, av.FFmpegError):  # A codec in `av.codecs_available` may lack an encoder.
+        except (ValueError, av.FFmpegError):  # `av.codecs_available` also lists codecs without an encoder.
             continue
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"

@@ -13,7 +13,7 @@ from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
 
 _GOOD, _FAIR = 0.95, 0.5  # The share of episodes with a time-out is green from 95 %, yellow from 50 %, red below.
-# ``TONES`` maps a run's status to its colour in the report.
+# ``TONES`` maps the status of a run to the colour of this status in the report.
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
@@ -33,7 +33,7 @@ def ended(figures: Mapping[str, Any]) -> int | None:
 
 
 def planned(subject: Subject) -> int | None:
-    """Return the planned number of training iterations, from the config of a run or from the run's last resume."""
+    """Return the planned number of training iterations, from the run's config or from an override of a resume."""
     found = subject.setting("agent.max_iterations")
     for entry in subject.manifest.get("resumes", []):
         for text in entry.get("overrides") or []:
@@ -208,7 +208,7 @@ def _of_training(subject: Subject) -> Iterator[Card]:
 
 
 def tone_of(share: float) -> Tone:
-    """Return the colour of a report's card that shows which share of episodes reached the time-out."""
+    """Return the colour for a share of episodes that reached the time-out, such as green (``good``) for 0.98."""
     return "good" if share >= _GOOD else "warn" if share >= _FAIR else "bad"
 
 

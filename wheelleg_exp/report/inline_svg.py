@@ -95,7 +95,7 @@ def _length(root: ElementTree.Element, name: str) -> str:
 # In a plot of 3.9 x 2.15 inches, letters of 8.5 pt are readable on a phone screen 345 pixels wide.
 _WIDTH, _HEIGHT = 3.9, 2.15
 _MOST_COLUMNS = 3
-_LETTER, _LEGEND_ROW = 0.075, 0.17  # the width of a character and the height of a row of a plot's legend, inches
+_LETTER, _LEGEND_ROW = 0.075, 0.17  # In a legend, a letter is 0.075 inches wide, and a row is 0.17 inches high.
 
 
 def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:

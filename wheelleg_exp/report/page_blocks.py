@@ -25,9 +25,9 @@ class Cell:
     """One cell of a table."""
 
     text: str
-    number: bool = False  # whether the table cell is aligned to the right, with digits of equal width
-    code: bool = False  # True if the text of the table cell is code or a hash, which the report shows in monospace.
-    bar: float | None = None  # a number in -1 … 1, drawn as a bar behind the text of the table cell
+    number: bool = False  # True aligns the table cell to the right, with digits of equal width.
+    code: bool = False  # True shows the table cell in monospace, for example for code or a hash.
+    bar: float | None = None  # The table cell shows ``bar``, a number in -1 … 1, as a bar behind its text.
     tone: Tone = ""
 
 
@@ -75,7 +75,7 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    titled: bool = True  # False hides the title, for example if a heading of the page already names the table
+    titled: bool = True  # False hides the table's title, for example if a heading of the page already names the table.
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Plots:
-    """Drawings of a report page, side by side on a wide screen; ``paired`` allows at most two drawings in a row."""
+    """Plots of a report page, side by side on a wide screen; with ``paired``, a row has at most two plots."""
 
     plots: Sequence[Plot]
     paired: bool = False

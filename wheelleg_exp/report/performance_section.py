@@ -30,7 +30,7 @@ _HIGH, _FULL = 0.01, 0.1  # Mark a joint yellow if it is at its effort limit for
 
 @dataclass(frozen=True)
 class Measured:
-    """The tables of a report about a recording; a table is empty if the recording lacks the data."""
+    """The tables that a report shows about a recording; a table is empty if the recording lacks its data."""
 
     scope: Sequence[Block] = ()
     tracking: Sequence[Block] = ()
@@ -281,7 +281,7 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
 _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
-_SHOWN_FIRST = 12  # The report shows this number of metrics per evaluation test, and collapses the others.
+_SHOWN_FIRST = 12  # For each evaluation test, the report shows the first 12 metrics and collapses the others.
 
 
 def evaluated(subject: Subject) -> bool:

@@ -37,7 +37,7 @@ class Episode:
     end: float
     step_s: float
     ended_by: tuple[str, ...]
-    is_whole: bool  # whether the episode was recorded completely, from its start to its end
+    is_whole: bool  # True if the episode was recorded from its start to its end.
 
     @property
     def seconds(self) -> float:
@@ -50,7 +50,7 @@ class Look:
     """Opens each recording of a run only once; the report shows an error if a recording cannot be read."""
 
     subject: Subject
-    pictures: bool = True  # whether the report shows pictures of the robot
+    pictures: bool = True  # False omits all pictures of the robot from the report.
     _missing: str | None = field(default=None, init=False)
     _sceneries: dict[Path, Scenery] = field(default_factory=dict, init=False)
 
@@ -163,11 +163,11 @@ def _source(recording: Recording) -> Source:
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
-    """Return a recorded interval (sample), and the episode in this interval that the report's pictures show."""
-    # With ``_FIRST``, the pictures show the first recorded episode of the training.
-    # With ``_PLAY``, the pictures show the first recorded episode of ``wheelleg play``, whose metrics the report lists.
-    # With ``_LAST``, the pictures show a complete episode from the latest recorded interval that contains one.
-    # If no recorded training episode is complete, the pictures show the longest of the latest incomplete episodes.
+    """Return the recorded interval (sample) and, from this interval, the episode that the report's pictures show."""
+    # If ``which`` is ``_FIRST``, show the first recorded episode of the training.
+    # If ``which`` is ``_PLAY``, show the first recorded episode of ``wheelleg play``.
+    # If ``which`` is ``_LAST``, show a complete episode from the latest recorded interval that contains one.
+    # If no recorded training episode is complete, show the longest episode of the last recorded interval.
     samples = source.samples()
     if which == _LAST:
         for sample in reversed(samples):
@@ -181,7 +181,7 @@ def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
 
 
 def _episodes(source: Source, sample: Sample) -> list[Episode]:
-    """Split a sample (consecutive recorded steps) into episodes; the first and last episodes can be incomplete."""
+    """Split consecutive recorded control steps (a sample) into episodes; the first and the last can be incomplete."""
     clock = source.clock()
     if clock is None:
         return []

@@ -143,7 +143,7 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def robot(subject: Subject) -> list[Block]:
-    """Return report blocks about the inputs, assumptions, and omissions of the robot's conversion."""
+    """Return report blocks about the conversion of the robot's model: its inputs, assumptions, and omissions."""
     report = _json(subject, "asset/report.json")
     if not report:
         return [Note("There is no report of the robot's conversion.", "")]
@@ -214,7 +214,7 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
-_COMPARED = 3  # Compare a run with at most 3 replays and 3 runs of equal settings, as comparisons open checkpoints.
+_COMPARED = 3  # Compare a run with at most 3 replays and 3 runs of equal settings: comparisons open checkpoints.
 _STATES: Mapping[str, Tone] = {"ok": "good", "note": "", "failed": "bad", "not checked": "warn"}
 _VERDICTS: Mapping[str, Tone] = {"identical": "good", "within tolerance": "warn", "different": "bad"}
 _PARAMS = ("params/env.yaml", "params/agent.yaml")
@@ -224,8 +224,8 @@ _PARAMS = ("params/env.yaml", "params/agent.yaml")
 class Repeat:
     """A run that should be bitwise equal to the reported run, and the result of comparing the two runs."""
 
-    label: str  # the task and id of the other run, with which the reported run is compared
-    how: str  # The other run is the reported run's ``replay`` or ``original``, or has the ``same settings``.
+    label: str  # ``label`` names the run that is compared with the reported run, by task and id.
+    how: str  # ``how`` relates the other run to the reported run: ``replay``, ``original``, or ``same settings``.
     verdict: str  # The two runs are ``identical``, equal ``within tolerance``, ``different``, or ``not compared``.
     reason: str
     lines: Sequence[str]  # the whole comparison
@@ -308,7 +308,7 @@ def _found(verdict: Verdict) -> list[Block]:
 
 
 def _text(subject: Subject, check: Check) -> str:
-    """Describe the result of one check of a run; the number of checked files does not include reports."""
+    """Describe the result of one check of a run; the check ``files`` counts all recorded files except reports."""
     if check.name != "files" or subject.run is None or check.skipped:
         return check.skipped or check.text
     own = _reports(subject)

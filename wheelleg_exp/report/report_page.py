@@ -45,7 +45,7 @@ def render_page(page: Page) -> str:
         # Make invisible control characters of a text visible, and replace characters that HTML cannot contain.
         finalize=lambda value: printable(value) if type(value) is str else value,
     )
-    # Only SVG from `inline_svg.clean` and the style sheet are safe without escaping.
+    # Only the style sheet and SVG from `inline_svg.clean` may enter the page without escaping.
     environment.filters["drawn"] = Markup
     style = environment.get_template("report.css").render()
     return environment.get_template("report.html").render(page=page, style=style, mark=MARK)
@@ -86,7 +86,7 @@ def _is_report(path: Path, run: str) -> bool:
 
 
 def _is_own(subject: Subject, path: Path) -> bool:
-    """Return whether the run's manifest lists ``path`` as a report, even if the run was renamed."""
+    """Return whether the run's manifest lists the file ``path`` as a report; the run may have been renamed."""
     inside = not path.is_symlink() and path.is_file() and path.resolve().is_relative_to(subject.path.resolve())
     return inside and _recorded(subject, path)
 
@@ -176,7 +176,7 @@ def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
 
 
 def _or(build: Callable[[], T], instead: T) -> T:
-    """Call ``build`` and return its result, or return ``instead`` if ``build`` raises an error."""
+    """Return the result of ``build()``, or the value ``instead`` if ``build`` raises an error."""
     try:
         return build()
     except Exception:

@@ -38,16 +38,16 @@ class Subject:
     """The subject of a report: one training run, or one run of a zero or random agent."""
 
     path: Path
-    run: RunDirectory | None  # the training run; None for a zero or random agent's run, which has no manifest
+    run: RunDirectory | None  # ``run`` is None for a zero or random agent's run, which has no manifest.
     manifest: dict[str, Any] = field(default_factory=dict)
-    status: str = AGENT  # a training run's status, such as ``crashed``, or ``agent`` for a zero or random agent's run
-    config: dict[str, Any] = field(default_factory=dict)  # the run's resolved config sections ``env`` and ``agent``
-    overrides: list[str] | None = None  # the user's Hydra overrides, or None if they are unknown
-    choices: dict[str, Any] = field(default_factory=dict)  # the selected option of each Hydra config group
+    status: str = AGENT  # The status ``agent`` means a zero or random agent's run.
+    config: dict[str, Any] = field(default_factory=dict)  # ``config`` has the run's sections ``env`` and ``agent``.
+    overrides: list[str] | None = None  # None means that the user's Hydra overrides are unknown.
+    choices: dict[str, Any] = field(default_factory=dict)  # ``choices`` maps Hydra config groups to selected options.
     config_dirs: tuple[Path, ...] = ()
     scalars: dict[str, Series] = field(default_factory=dict)
     agent_figures: dict[str, Any] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)  # sentences about unreadable files of the run
+    problems: list[str] = field(default_factory=list)  # ``problems`` contains sentences about unreadable files.
 
     @property
     def id(self) -> str:
@@ -84,7 +84,7 @@ class Subject:
         return path if path.resolve().is_relative_to(self.path.resolve()) and path.is_file() else None
 
     def tried(self, read: Callable[[], T], instead: T) -> T:
-        """Call ``read`` and return its result; if it fails, add the error to ``problems`` and return ``instead``."""
+        """Return the result of ``read()``; if it fails, add the error to ``problems`` and return ``instead``."""
         try:
             return read()
         except WheellegError as error:
@@ -131,7 +131,7 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
 
 
 def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
-    """Return the config folders on the run's Hydra search path that the user trusts; others must not be read."""
+    """Return those folders of the run's Hydra search path that the user trusts; other folders must not be read."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
     return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 

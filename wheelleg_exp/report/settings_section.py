@@ -71,9 +71,9 @@ def settings_blocks(subject: Subject) -> list[Block]:
 def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
     """Yield those parameters of the run that differ from the task's defaults.
 
-    Hydra composed ``default`` for the run's task without overrides, and ``again`` with the run's overrides, both on
-    this machine. If a value of the run equals the value in ``again``, both have the same origin (a file or an
-    override).
+    ``default`` is the task's config without overrides; ``again`` is the config that Hydra composes on this machine with
+    the run's overrides. A parameter's origin (a file or an override) is known from ``again`` if its value there equals
+    the run's value.
     """
     mounts = again.mounts if again else ()
     for part in _PARTS:

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
     from wheelleg_exp.inspection.plot_style import Panel
 
-# Runs form one group if their configs differ only in ``_ASIDE``: seeds, names, and output options.
+# Runs form one group if their configs differ only in the keys in ``_ASIDE``, such as the seed.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
 BANDS = "The mean over the seeds of a setting, at iterations that all seeds have, and one standard deviation."
-# Two runs have comparable returns only if the values of all config keys in ``_MEASURE`` are equal.
+# The returns of two runs are comparable only if the runs have equal values for all config keys in ``_MEASURE``.
 _MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"
@@ -84,8 +84,8 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 def sentence(groups: Sequence[Group]) -> str:
     """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the runs differ in rewards, episode length, or discount, the headline of the report compares time-out
-    shares, not returns. Without recorded time-outs, the report's headline compares survival rates of ``wheelleg play``.
+    If the runs differ in rewards, episode length, or discount, the report's headline compares time-out shares instead
+    of returns. Without recorded time-outs, the report's headline compares survival rates of ``wheelleg play``.
     """
     text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:

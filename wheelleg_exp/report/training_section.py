@@ -15,12 +15,12 @@ from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Tab
 from wheelleg_exp.report.report_subject import Subject
 from wheelleg_exp.report.value_format import brief, exact, number
 
-_POINTS = 800  # The largest number of visible points in a curve.
+_POINTS = 800  # A curve in the report has at most 800 points.
 _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_episode_length"))
 
 
 def first_curves(subject: Subject) -> list[Block]:
-    """Return curves of return, episode length, and terminations over training; a note if no iteration has finished."""
+    """Return learning curves of return, episode length, and terminations; a note if no iteration has finished."""
     from wheelleg_exp.inspection import training_curves as plots_training
 
     scalars = thinned(subject)
@@ -48,7 +48,7 @@ def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
 
 
 def picked(count: int) -> slice:
-    """Return a slice that selects evenly spaced points of a curve with ``count`` points, including the last point."""
+    """Return a slice that selects at most 800 of a curve's ``count`` points, evenly spaced, including the last."""
     every = max(1, -(-count // _POINTS))
     return slice((count - 1) % every, None, every)
 

@@ -1,4 +1,4 @@
-"""Read a rerun recording as tables, even if the recording's file is damaged.
+"""Read a Rerun recording as tables, even if the recording's file is damaged.
 
 | module | offers |
 |---|---|

@@ -1,4 +1,4 @@
-"""Convert Arrow values to Python values, and the columns of a recording to the Arrow types of rerun's components."""
+"""Convert Arrow values to Python values, and the columns of a recording to the Arrow types of Rerun's components."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _COMPONENT_TYPES: dict[str, pa.DataType] = {
 def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
     """Convert Arrow values to Python values. Arrow values that Arrow cannot convert become None.
 
-    Times become integers in the unit of the Arrow type, which is nanoseconds in rerun's files. Python's time types have
+    Times become integers in the unit of the Arrow type, which is nanoseconds in Rerun's files. Python's time types have
     no nanoseconds, and Arrow's conversion of nanoseconds needs pandas.
     """
     if any(pa.types.is_union(kind) or pa.types.is_map(kind) for kind in _nested_types(array.type)):
@@ -52,12 +52,12 @@ def is_list(kind: pa.DataType) -> bool:
 
 
 def is_component(field: pa.Field) -> bool:
-    """Return whether a column of an Arrow record batch contains data (a rerun component)."""
+    """Return whether a column of an Arrow record batch contains data (a Rerun component)."""
     return (field.metadata or {}).get(b"rerun:kind") == b"data"
 
 
 def is_index(field: pa.Field) -> bool:
-    """Return whether a column of an Arrow record batch contains times (a rerun timeline)."""
+    """Return whether a column of an Arrow record batch contains times (a Rerun timeline)."""
     return (field.metadata or {}).get(b"rerun:kind") == b"index"
 
 
@@ -69,7 +69,7 @@ def short_name(name: str) -> str:
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
     """Convert the columns of an Arrow record batch to the expected Arrow types, such as float64 lists for ``scalars``.
 
-    ``known_columns`` omits columns that cannot be converted, and columns with the same short name as an earlier column.
+    Columns that cannot be converted are omitted; of two columns with the same short name, only the first is kept.
     """
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))

@@ -1,4 +1,4 @@
-"""Read the recorded rows of each rerun entity."""
+"""Read the recorded rows of each Rerun entity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCALARS = "scalars"
 
 
 class EntityRows:
-    """Gives access to the recorded rows of each rerun entity in a recording's file.
+    """Gives access to the recorded rows of each Rerun entity in a recording's file.
 
     ``EntityRows`` raises RunDirectoryError if the file is missing, empty, or not a recording. ``recording_id`` must
     select one recording if the file contains several.
@@ -33,7 +33,7 @@ class EntityRows:
         self._statics: dict[str, dict[str, pa.Array]] = {}
 
     def entities(self) -> list[str]:
-        """Return the sorted paths of the rerun entities, without a leading slash. Hidden entities are excluded."""
+        """Return the sorted paths of the Rerun entities, without a leading slash. Hidden entities are excluded."""
         return sorted(entity for entity in self._contents.pieces if entity and not entity.startswith(HIDDEN))
 
     def timelines(self) -> list[str]:
@@ -48,18 +48,18 @@ class EntityRows:
         return None if found is None else (found[0] * scale, found[1] * scale)
 
     def columns(self, entity: str) -> set[str]:
-        """Return the names of a rerun entity's timelines and of its components that change over time."""
+        """Return the names of a Rerun entity's timelines and of its components that change over time."""
         pieces = [piece for piece in self._contents.pieces.get(entity.strip("/"), ()) if not piece.is_static]
         return {short_name(name) for piece in pieces for name in piece.names}
 
     def archetypes(self, entity: str) -> set[str]:
-        """Return the names of the rerun archetypes, such as ``Boxes3D``, that an entity's static data contains."""
+        """Return the names of the Rerun archetypes, such as ``Boxes3D``, that an entity's static data contains."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         names = (name for piece in pieces if piece.is_static for name in piece.names)
         return {name.split(":", 1)[0] for name in names if ":" in name}
 
     def rows(self, entity: str) -> pa.Table:
-        """Return a rerun entity's values over time, sorted by step; raise KeyError for an entity without values."""
+        """Return a Rerun entity's values over time, sorted by step; raise KeyError for an entity without values."""
         if not self.has_rows(entity):
             raise KeyError(entity)
         if entity not in self._tables:
@@ -78,7 +78,7 @@ class EntityRows:
         return self._tables[entity]
 
     def matrix(self, entity: str) -> NDArray[np.float64]:
-        """Return a rerun entity's numbers, (rows, width); raise RunDirectoryError if the rows differ in width."""
+        """Return a Rerun entity's numbers, (rows, width); raise RunDirectoryError if the rows differ in width."""
         table = self.rows(entity)
         if SCALARS not in table.column_names:
             message = f"'{entity}' of '{self.path}' contains no numbers"
@@ -93,27 +93,27 @@ class EntityRows:
         return flat.reshape(len(table), -1)
 
     def width(self, entity: str) -> int:
-        """Return the length of a rerun entity's first row of numbers, such as 3 for a vector; 0 without rows."""
+        """Return the length of a Rerun entity's first row of numbers, such as 3 for a vector; 0 without rows."""
         lengths = pc.list_value_length(self.rows(entity).column(SCALARS).slice(0, 1))
         return (lengths[0].as_py() or 0) if len(lengths) else 0
 
     def number_names(self, entity: str) -> list[str]:
-        """Return the names of a rerun entity's numbers; an empty list if the numbers have no names."""
+        """Return the names of a Rerun entity's numbers; an empty list if the numbers have no names."""
         return [str(word)[:LONGEST_TEXT] for word in self.static(entity).get("names", [])]
 
     def static(self, entity: str) -> dict[str, list[Any]]:
-        """Return the static data of a rerun entity by component; an empty dictionary if it has none."""
+        """Return the static data of a Rerun entity by component; an empty dictionary if it has none."""
         path = entity.strip("/")
         if path not in self._statics:
             self._statics[path] = latest(self._contents.rows(path, static=True))
         return {name: python_values(array)[0] or [] for name, array in self._statics[path].items()}
 
     def has_rows(self, entity: str) -> bool:
-        """Return whether a rerun entity has rows over time, not only static data."""
+        """Return whether a Rerun entity has rows over time, not only static data."""
         return self.count(entity) > 0
 
     def count(self, entity: str) -> int:
-        """Return the number of a rerun entity's rows over time; static rows are not counted."""
+        """Return the number of a Rerun entity's rows over time; static rows are not counted."""
         pieces = self._contents.pieces.get(entity.strip("/"), ())
         return sum(piece.batch.num_rows for piece in pieces if not piece.is_static)
 

@@ -41,7 +41,7 @@ class NumberNames:
 
     @cached_property
     def groups(self) -> dict[str, list[str]]:
-        """Maps each entity path, such as ``joints``, to the numeric rerun entities below this path, in column order."""
+        """Maps each path, such as ``joints``, to the Rerun entities with numbers below this path, in column order."""
         found: dict[str, list[str]] = {}
         room = _LETTERS
         for entity in self._entities:
@@ -59,13 +59,13 @@ class NumberNames:
         return found
 
     def numbers_of(self, path: str) -> list[Number]:
-        """Return the numbers of a rerun entity and of all entities below it."""
+        """Return the numbers of a Rerun entity and of all entities below it."""
         own = [path] if path in self._entities else []
         depth = len(parts_of(path))
         numbers = (n for entity in (*own, *self.groups.get(path, ())) for n in self._numbers(entity, depth))
         found = []
         for number in self._within_bounds(numbers):
-            # Rename the column `step` of the entity `episode/step` to `episode.step`, because `step` is a timeline.
+            # The number `episode/step` would get the name of the timeline `step`, so name it `episode.step`.
             if number.name in TIMELINES:
                 name = ".".join(unescaped(part) for part in parts_of(number.entity)[-2:])
                 number = Number(name, number.entity, number.index)
@@ -73,7 +73,7 @@ class NumberNames:
         return found
 
     def all(self, branch: str) -> dict[str, Number]:
-        """Return one environment's numbers, and numbers of no environment such as training scalars, by dotted name."""
+        """Return the numbers of an environment, and numbers that all environments share (training scalars), by name."""
         if branch not in self._by_branch:
             depths = {e: int(bool(branch) and e.split("/")[0] == branch) for e in self._entities}
             shared = [e for e, depth in depths.items() if depth or not BRANCH.match(f"{e}/")]
@@ -107,17 +107,17 @@ class NumberNames:
 
 
 def is_numeric(rows: EntityRows, entity: str) -> bool:
-    """Return whether a rerun entity contains recorded numbers, and not shapes, poses, or texts."""
+    """Return whether a Rerun entity contains recorded numbers, and not shapes, poses, or texts."""
     return entity.split("/")[0] not in _NOT_NUMBERS and SCALARS in rows.columns(entity)
 
 
 def parts_of(path: str) -> list[str]:
-    """Split a rerun entity path at its slashes, but keep the escape characters in the names."""
+    """Return the names in a Rerun entity path, without removing their escape characters."""
     return _PART.findall(path)
 
 
 def unescaped(part: str) -> str:
-    """Remove the escape characters from a name in a rerun entity path."""
+    """Remove the escape characters from a name in a Rerun entity path."""
     return re.sub(r"\\(.)", r"\1", part)
 
 
@@ -139,10 +139,10 @@ def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class _Timeline:
-    """All control steps at which at least one of several rerun entities was recorded.
+    """The control steps at which at least one of the requested Rerun entities was recorded.
 
     ``columns`` contains the table columns ``step``, ``sim_time`` (s), and ``iteration``, as far as they were recorded.
-    ``rows`` maps each rerun entity to the indices of its table rows; None means all rows of the table.
+    ``rows`` maps each Rerun entity to the table rows that its values fill; None means all rows.
     """
 
     columns: dict[str, NDArray]

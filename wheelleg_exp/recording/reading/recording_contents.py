@@ -1,4 +1,4 @@
-"""Read the rows of each rerun entity from a recording's file, and check how much of this file is readable."""
+"""Read the rows of each Rerun entity from a recording's file, and check how much of this file is readable."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Health:
 
     ``size`` is the file's size in bytes; ``readable`` counts the bytes up to the end of the last complete message.
     ``is_closed`` is true if the recording has an index. ``damaged`` counts complete messages that cannot be decoded.
-    ``writer`` is the version of rerun that wrote the recording.
+    ``writer`` is the version of Rerun that wrote the recording.
     """
 
     size: int
@@ -67,7 +67,7 @@ class Health:
 class Piece:
     """The rows of one rrd message, which contains either static data or data over time.
 
-    rerun marks timelines as ``index``, and components as ``data``, in the metadata of their Arrow fields.
+    Rerun marks timelines as ``index``, and components as ``data``, in the metadata of their Arrow fields.
     """
 
     batch: pa.RecordBatch
@@ -80,11 +80,11 @@ class Piece:
 
 
 class Contents:
-    """The rows of a recording. ``pieces`` maps the path of each rerun entity to its rows, one ``Piece`` per message.
+    """The rows of a recording. ``pieces`` maps the path of each Rerun entity to its rows, one ``Piece`` per message.
 
     ``Contents`` reads complete messages, and raises RunDirectoryError if the file is missing or not a recording.
-    ``recording_id`` must select one recording if the file contains several. With ``is_changed``, rerun's program first
-    copies the file, because decoding a changed message can crash this process.
+    ``recording_id`` must select one recording if the file contains several. If the file was modified (``is_changed``),
+    Rerun's program first copies it, because decoding a modified message can crash this process.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None, *, is_changed: bool = False) -> None:
@@ -121,11 +121,11 @@ class Contents:
         return found
 
     def rows(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield a rerun entity's rows, with columns converted to the expected Arrow types (see ``known_columns``)."""
+        """Yield the rows of one Rerun entity; ``known_columns`` converts each column to the expected Arrow type."""
         return map(known_columns, self.batches(entity, static=static))
 
     def batches(self, entity: str, *, static: bool) -> Iterator[pa.RecordBatch]:
-        """Yield a rerun entity's rows as they are stored: in file order, and with their original Arrow types."""
+        """Yield a Rerun entity's rows as they are stored: in file order, and with their original Arrow types."""
         return (piece.batch for piece in self.pieces.get(entity, ()) if piece.is_static == static)
 
     def _chosen(self, stores: Mapping[tuple[str, str], list[Chunk]], wanted: str | None) -> str:
@@ -150,7 +150,7 @@ def columns(batch: pa.RecordBatch) -> pa.Table:
 
 
 def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
-    """Return the last recorded value of each rerun component, by its short name such as ``translation``."""
+    """Return the last recorded value of each Rerun component, by its short name such as ``translation``."""
     found: dict[str, pa.Array] = {}
     for batch in batches:
         for field, array in zip(batch.schema, batch.columns, strict=True):
@@ -163,8 +163,8 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
-    rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
-    ``closed_copy`` raises RunDirectoryError if rerun's program cannot write the copy.
+    Rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
+    ``closed_copy`` raises RunDirectoryError if Rerun's program cannot write the copy.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"
@@ -175,19 +175,19 @@ def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
         problem, log = run_rerun("merge", "--continue-on-error", str(trimmed), "-o", str(closed))
         if problem is not None or not closed.exists():
             raise _unreadable(path, problem or "rerun wrote nothing")
-        # Count damaged messages in rerun's log, because the copy can also lack messages that are not damaged.
+        # Count damaged messages in Rerun's log, because the copy can also lack messages that are not damaged.
         yield closed, sum("couldn't decode message" in line for line in log)
 
 
 def _stores(path: Path) -> dict[tuple[str, str], list[Chunk]] | None:
-    """Return the data chunks of each rerun store in a closed rrd file, by kind and id; None for a damaged file."""
-    from rerun.chunk import RrdReader  # Import rerun only here, because the import takes 0.25 s.
+    """Return the data chunks of each Rerun store in a closed rrd file, by kind and id; None for a damaged file."""
+    from rerun.chunk import RrdReader  # Import Rerun only here, because the import takes 0.25 s.
 
     try:
         reader = RrdReader(path)
         entries = [*reader.recordings(), *reader.blueprints()]
         return {(entry.kind, entry.recording_id): reader.stream(store=entry).to_chunks() for entry in entries}
-    except ValueError:  # rerun raises ValueError for a file that contains neither a recording nor a blueprint.
+    except ValueError:  # Rerun raises ValueError for a file that contains neither a recording nor a blueprint.
         return {}
     except RuntimeError:
         return None
@@ -202,17 +202,17 @@ def _opened(path: Path) -> RrdFile:
         file = RrdFile(path)
     head = file.header
     if not head:
-        raise RunDirectoryError(f"the recording '{path}' is empty", expected="a rerun recording")
+        raise RunDirectoryError(f"the recording '{path}' is empty", expected="a Rerun recording")
     if head[:3] != MAGIC[:3]:
-        raise RunDirectoryError(f"'{path}' is not a rerun recording", expected="a file that starts with 'RRF2'")
+        raise RunDirectoryError(f"'{path}' is not a Rerun recording", expected="a file that starts with 'RRF2'")
     if head[:4] != MAGIC:
         message = f"the recording '{path}' has another format ({head[:4].decode('latin-1')!r})"
-        raise RunDirectoryError(message, expected="'RRF2', which rerun writes since 0.23")
+        raise RunDirectoryError(message, expected="'RRF2', which Rerun writes since 0.23")
     if len(head) < HEADER_SIZE:
         raise RunDirectoryError(f"the recording '{path}' has an incomplete header", expected="a whole recording")
     if head[SERIALIZER_AT] != PROTOBUF:
-        old = f"the recording '{path}' was written by rerun {_writer(head)}, in a format that is no longer supported"
-        raise RunDirectoryError(old, expected="a recording of rerun 0.23 or later")
+        old = f"the recording '{path}' was written by Rerun {_writer(head)}, in a format that is no longer supported"
+        raise RunDirectoryError(old, expected="a recording of Rerun 0.23 or later")
     return file
 
 
@@ -225,5 +225,5 @@ def _unreadable(path: Path, reason: str) -> RunDirectoryError:
     message = f"the recording '{path}' cannot be read: {reason}"
     if known.split(".")[:2] == writer.split(".")[:2]:
         return RunDirectoryError(message, expected="a recording that is not damaged")
-    expected = f"a recording of rerun {known}, to which 'rerun rrd migrate' may convert it"
-    return RunDirectoryError(f"{message}; it was written by rerun {writer}", expected=expected)
+    expected = f"a recording of Rerun {known}, to which 'rerun rrd migrate' may convert it"
+    return RunDirectoryError(f"{message}; it was written by Rerun {writer}", expected=expected)

@@ -1,4 +1,4 @@
-"""Compute a hash of a recording's rows, which is equal for the recordings of two runs with equal rows."""
+"""Compute a hash of a recording's rows: two runs that recorded equal rows have equal hashes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
     """Return a sha256 over the content of a recording, which changes if one bit of a number changes.
 
     The sha256 ignores what differs between equal runs: row ids, chunk boundaries, and the recording's name, id,
-    properties, and layout. The sha256 also ignores the rerun entities at and below the paths in ``without``.
+    properties, and layout. The sha256 also ignores the Rerun entities in ``without`` and all entities below them.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -36,7 +36,7 @@ def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
 
 
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
-    """Return a sha256 over the rows of each rerun entity, by the entity's path."""
+    """Return a sha256 over the rows of each Rerun entity, by the entity's path."""
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
     heads = (HIDDEN, *(f"{path}/" for path in left_out))

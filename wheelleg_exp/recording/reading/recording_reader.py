@@ -70,14 +70,14 @@ def _plain_value(value: Any) -> Any:
 
 
 class Recording(EntityRows):
-    """A rerun recording that was read from a file. ``health`` states how much of the recording's file is readable."""
+    """A Rerun recording that was read from a file. ``health`` states how much of the recording's file is readable."""
 
     def groups(self) -> list[str]:
         """Return the names of the groups of recorded numbers, such as ``rewards`` and ``joints``."""
         return list(self._names.groups)
 
     def table(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return a table of the rows of a rerun entity, or of a group of entities such as ``rewards``.
+        """Return a table of the rows of a Rerun entity, or of a group of entities such as ``rewards``.
 
         The table of an entity has the columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one
         list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
@@ -91,11 +91,11 @@ class Recording(EntityRows):
         return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)
 
     def numbers(self, name: str, env_id: int | None = None) -> pa.Table:
-        """Return the numbers of a rerun entity or a group of entities as a table with one column for each number."""
+        """Return the numbers of a Rerun entity or a group of entities as a table with one column for each number."""
         return self.columns_of(self._names.numbers_of(self._resolved(name, env_id)))
 
     def all_numbers(self, env_id: int | None = None) -> dict[str, Number]:
-        """Return one environment's numbers, and numbers of no environment such as training scalars, by dotted name."""
+        """Return the numbers of an environment, and numbers that all environments share (training scalars), by name."""
         return self._names.all(self.branch(env_id))
 
     def columns_of(self, numbers: Sequence[Number]) -> pa.Table:
@@ -103,7 +103,7 @@ class Recording(EntityRows):
         return number_groups.table(self, numbers)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:
-        """Return the numbers of a rerun entity or group of entities, (rows, width), sorted by control step.
+        """Return the numbers of a Rerun entity or group of entities, (rows, width), sorted by control step.
 
         ``values`` raises RunDirectoryError if a requested entity has no numbers or has rows of different widths.
         """
@@ -182,7 +182,7 @@ class Recording(EntityRows):
 
     @cached_property
     def branches(self) -> list[int]:
-        """The indices of environments whose entity paths start with ``env_<index>``; [] for a single environment."""
+        """The environment indices in entity paths such as ``env_3/base``; [] if no path starts with ``env_``."""
         matches = [BRANCH.match(f"{entity}/") for entity in self.entities()]
         return sorted({int(match.group(1)) for match in matches if match})[:_MOST_ENVS]
 

@@ -1,4 +1,4 @@
-"""Repair a truncated or damaged rerun recording."""
+"""Repair a truncated or damaged Rerun recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Show a growing recording in rerun's viewer. A child process sends the growing recording to rerun's viewer."""
+"""Show a growing recording in Rerun's viewer. A child process sends the growing recording to Rerun's viewer."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from wheelleg_exp.recording.blueprint import blueprint
 from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.rrd_file import APPLICATION, HEADER_SIZE, STORE_INFO, RrdFile
 
-if TYPE_CHECKING:  # Only type checkers import the recorder, because its module imports torch and mujoco.
+if TYPE_CHECKING:  # Do not import the recorder at run time, because its module imports torch and mujoco.
     from wheelleg_exp.recording.writing.recorder import Recorder
 
 LOOPBACK = "127.0.0.1"
 LAYOUT = "layout.pickle"
 _POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
-_CHUNKS_PER_FLUSH = 500  # After 500 data chunks, wait until rerun's viewer has received all of them.
+_CHUNKS_PER_FLUSH = 500  # After 500 data chunks, wait until Rerun's viewer has received all of them.
 _NOWHERE = f"http://{LOOPBACK}:9"  # Port 9 belongs to the discard service, and no server listens on this port.
 
 
 class ViewerLostError(Exception):
-    """rerun's viewer does not run or does not receive data."""
+    """Rerun's viewer does not run or does not receive data."""
 
 
 def viewer_command(port: int | str) -> list[str]:
-    """Return the command that opens a viewer of rerun to which only programs on the same machine can connect."""
+    """Return the command that opens a viewer of Rerun to which only programs on the same machine can connect."""
     return [rerun_program(), "--bind", LOOPBACK, "--port", str(port), "--expect-data-soon", "--hide-welcome-screen"]
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return environment variables that prevent rerun's viewer from sending data to other machines.
+    """Return environment variables that prevent Rerun's viewer from sending data to other machines.
 
-    The variable ``CI`` disables rerun's analytics without changing the user's settings file. rerun's search for updates
+    The variable ``CI`` disables Rerun's analytics without changing the user's settings file. Rerun's search for updates
     cannot be disabled, so its proxy is an address that does not exist.
     """
     proxies = {name: _NOWHERE for word in ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY") for name in (word, word.lower())}
@@ -61,7 +61,7 @@ class Follower:
     def __init__(self, path: Path) -> None:
         self._file = RrdFile(path)
         self._place = HEADER_SIZE
-        self._announced = b""  # all ``STORE_INFO`` messages read so far; rerun needs them to decode later data
+        self._announced = b""  # Rerun needs all earlier ``STORE_INFO`` messages to decode later data.
 
     def chunks(self) -> Iterator[tuple[str, Chunk]]:
         """Yield each data chunk that the file received since the last call, with the id of its recording."""
@@ -78,7 +78,7 @@ class Follower:
             segment.writelines(self._file.body(begin))
             segment.flush()
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Suppress rerun's warning about an rrd file without an index.
+                warnings.simplefilter("ignore")  # Suppress Rerun's warning about an rrd file without an index.
                 reader = RrdReader(segment.name)
                 for entry in reader.recordings():
                     for chunk in reader.stream(store=entry):
@@ -86,9 +86,9 @@ class Follower:
 
 
 class Feed:
-    """Sends a growing recording, and the layouts in ``folder``, to rerun's viewer at the network port ``port``.
+    """Sends a growing recording, and the viewer's layout from ``folder``, to Rerun's viewer at network port ``port``.
 
-    The function ``is_open`` returns whether rerun's viewer is running.
+    The function ``is_open`` returns whether Rerun's viewer is running.
     """
 
     def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
@@ -99,7 +99,7 @@ class Feed:
         self._layout_time = -1
 
     def step(self) -> None:
-        """Send new data of the recording to rerun's viewer; raise ViewerLostError if the viewer receives no data."""
+        """Send new data of the recording to Rerun's viewer; raise ViewerLostError if the viewer receives no data."""
         for number, (recording_id, chunk) in enumerate(self._follower.chunks(), start=1):
             if self._stream is None:
                 self._stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, send_properties=False)
@@ -127,11 +127,11 @@ class Feed:
                 if not self._is_open():
                     raise ViewerLostError("the viewer was closed") from error
                 if time.monotonic() > end:
-                    raise ViewerLostError("rerun's viewer no longer receives data") from error
+                    raise ViewerLostError("Rerun's viewer no longer receives data") from error
 
 
 def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
-    """Open rerun's viewer and send a growing recording to it, until the end of the run closes standard input."""
+    """Open Rerun's viewer and send a growing recording to it, until the end of the run closes standard input."""
     port = free_port()
     command = [word.replace("{port}", str(port)) for word in viewer] or viewer_command(port)
     silent = subprocess.DEVNULL
@@ -155,13 +155,13 @@ def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
     end = time.monotonic() + _START_S
     while time.monotonic() < end:
         if process.poll() is not None:
-            raise ViewerLostError("rerun's viewer stopped at its start; perhaps there is no display")
+            raise ViewerLostError("Rerun's viewer stopped at its start; perhaps there is no display")
         try:
             with socket.create_connection((LOOPBACK, port), timeout=1.0):
                 return
         except OSError:
             time.sleep(0.1)
-    raise ViewerLostError("rerun's viewer does not answer")
+    raise ViewerLostError("Rerun's viewer does not answer")
 
 
 def free_port() -> int:
@@ -172,7 +172,7 @@ def free_port() -> int:
 
 
 def main(words: list[Any]) -> None:
-    """Send a growing recording to rerun's viewer.
+    """Send a growing recording to Rerun's viewer.
 
     ``words``: the recording's path, the folder of the viewer's layouts, and the command of a user-defined viewer.
     """
@@ -185,14 +185,14 @@ def main(words: list[Any]) -> None:
             os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    os._exit(0)  # Skip rerun's exit handler, which would wait for a viewer that the user has closed.
+    os._exit(0)  # Skip Rerun's exit handler, which would wait for a viewer that the user has closed.
 
 
 class LiveView:
-    """Shows a recording in rerun's viewer while the run writes the recording's file.
+    """Shows a recording in Rerun's viewer while the run writes the recording's file.
 
-    A child process sends the recording to rerun's viewer. The run only writes the recording's file, so that a slow or
-    broken viewer does not slow down the run. The child process stops with the run, but rerun's viewer remains open.
+    A child process sends the recording to Rerun's viewer. The run only writes the recording's file, so that a slow or
+    broken viewer does not slow down the run. The child process stops with the run, but Rerun's viewer remains open.
     ``viewer`` is the command of a user-defined viewer, with the placeholder ``{port}`` for the port.
     """
 
@@ -216,7 +216,7 @@ class LiveView:
                 self._process.stdin.close()
 
     def show(self) -> None:
-        """Update the layout of rerun's viewer, so that the viewer shows all data that has been recorded so far."""
+        """Update the layout of Rerun's viewer, so that the viewer shows all data that has been recorded so far."""
         state = self._recorder.layout_state()
         before, self._shown = self._shown, (len(state[2]), len(state[3]))
         if self._shown != before:

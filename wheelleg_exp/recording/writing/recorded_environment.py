@@ -29,9 +29,9 @@ ROBOT = "robot"
 
 
 def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the property ``wheelleg``: the origin of the recording, and its steps and times.
+    """Return the recording's property ``wheelleg``: facts such as the seed and the duration of a control step.
 
-    Entries of ``given``, such as the run id, replace entries that are computed from the environment.
+    Entries of the dictionary ``given``, such as the run id, are added, and replace entries of equal name.
     """
     found: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -67,7 +67,7 @@ def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
 
 
 def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
-    """Yield each manager's term names, the reward weights, and the widths of observation and action terms."""
+    """Yield the names of all managers' terms, the reward weights, and the widths of observation and action terms."""
     observations, actions = env.observation_manager, env.action_manager
     for group, terms in observations.active_terms.items():
         widths = [math.prod(shape) for shape in observations.group_obs_term_dim[group]]
@@ -107,7 +107,7 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
 
 
 MEGABYTE = 1_000_000
-# Measured bytes in an rrd file: 2100 per data chunk, 24 per row for its times, 28 per pose, 8 per number.
+# By measurement, an rrd file needs 2100 bytes per data chunk, 24 per row for its times, 28 per pose, and 8 per number.
 _CHUNK, _TIMES, _TRANSFORM, _NUMBER = 1600 + 500, 24, 28, 8
 
 # Arrow lengths are proportional to the robot's height, so that arrows are visible for robots of any size.
@@ -125,8 +125,8 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 class RecordedEnvironment:
     """One recorded environment. ``place`` (0, 1, …) is the robot's place in the row of robots in the 3D view.
 
-    Recorded poses are relative to the origin of the environment at the start of the recording, so that the robot starts
-    at the centre of the 3D view. ``stamps`` contains the control step and time of each buffered frame.
+    Recorded poses are relative to the environment's initial origin, so that the robot starts at the centre of the 3D
+    view. ``stamps`` contains the control step and time of each buffered frame.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
@@ -145,7 +145,7 @@ class RecordedEnvironment:
         self.frames = Frames(recorded_frames.environment_channels(env, env_id, paths, self.episodes))
         self._events = env.event_manager.active_terms.get("interval", [])
         self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
-        # Read each quantity once, so that a quantity with a wrong number of values raises an error before the rollout.
+        # Read all recorded quantities once, so that a wrong number of values raises an error before the rollout.
         self.frames.append()
         self.frames.clear()
         self._draw(env)
@@ -166,9 +166,9 @@ class RecordedEnvironment:
         )
 
     def frame_bytes(self, rows_together: int) -> float:
-        """Return an upper bound for the bytes of one frame if each data chunk contains ``rows_together`` frames."""
+        """Return the maximum size, bytes, of a recorded frame in a file with ``rows_together`` frames per chunk."""
         recorded = {entity for channel in self.frames.channels for entity in channel.entities}
-        # Roll, pitch, yaw, contacts, 2 velocity arrows, and body poses are entities that ``channels`` does not contain.
+        # A frame also has entities outside ``channels``: 3 angles, contacts, 2 velocity arrows, and body poses.
         entities = len(recorded) + 3 + 2 * len(self._contacts) + 2 + len(self._bodies)
         sensed = sum(len(contact.bodies) for contact in self._contacts)
         numbers = sum(len(channel.names) for channel in self.frames.channels) + 4 * sensed + 6
@@ -205,7 +205,7 @@ class RecordedEnvironment:
             yield self.paths.overlay(*parts), [rr.Arrows3D.from_fields(colors=[shade], radii=[radius])]
 
     def surroundings(self) -> StaticEntities:
-        """Yield the ground and all other geoms of MuJoCo's world body, relative to the environment's origin."""
+        """Yield the shapes of the ground and of MuJoCo's world body, relative to the environment's origin."""
         if self._ground is not None:
             yield GROUND, [self._ground.mesh(_LIGHT, _DARK)]
         drawn, _ = body_geoms(self._model, 0)
@@ -215,7 +215,7 @@ class RecordedEnvironment:
             yield f"{GROUND}/terrain/{geom_name(self._model, geom)}", shape(self._model, geom)
 
     def columns(self) -> Iterator[Columns]:
-        """Yield the buffered frames as columns of rerun entities."""
+        """Yield the buffered frames as columns of Rerun entities."""
         blocks = self.frames.blocks()
         position, quaternion = self._solver.poses(blocks["qpos"])
         angles = rerun_shapes.roll_pitch_yaw(quaternion[:, self._root])
@@ -277,7 +277,7 @@ class RecordedEnvironment:
 
 
 def series(names: Any, first: int = 0) -> Any:
-    """Return rerun's ``SeriesLines`` with a name and a colour for each line in a plot of the viewer.
+    """Return Rerun's ``SeriesLines`` with a name and a colour for each line in a plot of the viewer.
 
     Commands and targets have paler colours than measured values.
     """

@@ -1,6 +1,6 @@
 """Data that is recorded between frames: ends of episodes, interval events, messages, and training scalars.
 
-Each data chunk in a rerun file has about 1.5 kB of metadata, so a chunk contains a training scalar of ten iterations.
+Each data chunk in a Rerun file has about 1.5 kB of metadata, so a chunk contains a training scalar of ten iterations.
 The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all training scalars.
 """
 
@@ -28,8 +28,8 @@ Columns = tuple[str, list[Stamp], Any]
 class EventLog:
     """The log entries that are not in the file yet: their times, texts, and severities.
 
-    Interval events, such as pushes, happen after the control step's capture, so the recorder logs them at its next
-    ``capture`` or ``flush``.
+    Interval events, such as pushes, happen after ``capture``, so the recorder logs them in its next ``capture`` or
+    ``flush``.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -51,14 +51,14 @@ class EventLog:
         self._awaiting = (stamp, envs)
 
     def look_back(self, step: int) -> None:
-        """Log the interval events of the control step ``step``, if ``step`` is the last recorded control step."""
+        """Log the interval events, such as pushes, of the last recorded control step, if its number is ``step``."""
         awaiting, self._awaiting = self._awaiting, None
         if awaiting is None or awaiting[0].step != step:
             return
         stamp, envs = awaiting
         for env_id, paths in envs:
             for name, due in self._env.event_manager.fired.items():
-                # ``due`` has one element per environment, or only one if all environments share the event's timer.
+                # ``due`` is true where the event fired; it has only one element if all environments share a timer.
                 if host_copy(due[env_id if len(due) > 1 else 0]):
                     self._fired[paths.data("events", name)].append(stamp)
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
@@ -68,7 +68,7 @@ class EventLog:
         self._lines[layout.join(layout.LOG, RECORDING)].append((stamp, text, level))
 
     def pieces(self) -> Iterator[Columns]:
-        """Yield the buffered log messages as columns of rerun entities, and clear the buffer."""
+        """Yield the buffered log messages as columns of Rerun entities, and clear the buffer."""
         for entity, entries in self._lines.items():
             stamps, texts, levels = map(list, zip(*entries, strict=True))
             yield entity, stamps, rr.TextLog.columns(text=texts, level=levels)

@@ -29,8 +29,8 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 class Channel:
     """A recorded quantity, such as the joint positions: its key, its numbers' names, and a function that reads it.
 
-    ``entities`` lists the rerun entities that store a recorded quantity: one entity for all numbers, or one entity per
-    number. A recorded quantity with empty ``entities`` is buffered, but not written to the file.
+    ``entities`` lists the Rerun entities that store a recorded quantity: one entity for all numbers, or one entity per
+    number. If ``entities`` is empty, the quantity is buffered, but not written to the recording's file.
     """
 
     key: str
@@ -42,7 +42,7 @@ class Channel:
 def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
     """Return the recorded quantities (channels) of one environment, such as joint positions and rewards.
 
-    The recorded quantities do not include body poses, because the recorder computes body poses from ``qpos``.
+    Body poses are not recorded quantities, because the recorder computes them from ``qpos``.
     """
     parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
     channels = [channel for part in parts for channel in part(env, env_id, paths)]
@@ -50,19 +50,19 @@ def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, e
 
 
 def velocity_command(env: ManagerBasedRLEnv) -> str | None:
-    """Return the name of the first command that is a planar velocity (v_x, v_y, w_z) in the base's axes."""
+    """Return the name of the task's first command for the base's planar velocity (v_x, v_y, w_z); None without one."""
     manager = env.command_manager
     names = (name for name in manager.active_terms if isinstance(manager.get_term(name), UniformVelocityCommand))
     return next(names, None)
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
-    """Return a recorded quantity (channel), all of whose numbers are stored in the rerun entity ``entity``."""
+    """Return a ``Channel`` that stores all its numbers in one Rerun entity, at the path ``entity``."""
     return Channel(key, tuple(names), read, (entity,))
 
 
 def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    """Return a function that copies the row of environment ``env_id`` from the tensor ``read()``, as a flat array."""
+    """Return a function that calls ``read`` and returns the row of environment ``env_id`` as a flat array."""
     return lambda: host_copy(read()[env_id]).ravel()
 
 
@@ -192,7 +192,7 @@ class Episodes:
         self._step, self._episode_step = step, episode_step
 
     def restore(self, number: int, step: int, episode_step: int) -> None:
-        """Set the episode counters to the last recorded values of the interrupted run that this process resumes."""
+        """Set the episode counters to the last values in the earlier recording of a resumed run."""
         self.number, self._step, self._episode_step = number, step, episode_step
 
 

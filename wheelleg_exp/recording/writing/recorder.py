@@ -1,4 +1,4 @@
-"""Record selected environments to one rerun file, without an effect on the simulation."""
+"""Record selected environments to one Rerun file, without an effect on the simulation."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _FACE, _CELL, _TEXTS = 150, 40, 2 * recorded_environment.MEGABYTE
 
 
 class Recorder:
-    """Writes the motion, numbers, and messages of selected environments to a rerun file.
+    """Writes the motion, numbers, and messages of selected environments to a Rerun file.
 
     A recorder draws no random numbers and changes no environment state, so rollouts are bitwise equal with and without
     a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes them to
-    the rerun file.
+    the Rerun file.
 
-    The rerun file has the timelines ``step`` (control steps), ``sim_time`` (``step`` times the step duration), and, for
+    The Rerun file has the timelines ``step`` (control steps), ``sim_time`` (``step`` times the step duration), and, for
     a training, ``iteration``.
 
     Args:
@@ -110,7 +110,7 @@ class Recorder:
         """Start a segment: from now on, ``capture`` records every selected environment.
 
         After ``steps`` frames (None: no limit), the recording pauses and logs the message ``last_words``. Each recorded
-        frame stores the training iteration ``iteration``; assign the attribute ``iteration`` to change this value.
+        frame contains the training iteration in the attribute ``iteration``, which this method sets.
         """
         self.iteration, self.captured = iteration, 0
         self._limit, self._last_words = -1 if steps is None else steps, last_words
@@ -164,7 +164,7 @@ class Recorder:
             self._capturing = False
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
-        """Record a training iteration's scalars. The scalar ``a/b`` becomes the rerun entity ``training/a/b``."""
+        """Record a training iteration's scalars. The scalar ``a/b`` becomes the Rerun entity ``training/a/b``."""
         if self._scalars.add(self._stamp(self._env.common_step_counter, iteration), values):
             self._stale = True
 
@@ -219,7 +219,7 @@ class Recorder:
         return self._file.unfinished
 
     def blueprint(self) -> Any:
-        """Return a layout of rerun's viewer that shows all data that has been recorded so far."""
+        """Return a layout of Rerun's viewer that shows all data that has been recorded so far."""
         layouts, purpose, documents, training = self.layout_state()
         return blueprint(layouts, purpose, documents=documents, training=training)
 
@@ -271,7 +271,7 @@ class Recorder:
 
 
 def times(stamps: Sequence[Stamp]) -> list[rr.TimeColumn]:
-    """Return the times of frames as rerun columns; ``iteration`` is omitted unless each frame has an iteration."""
+    """Return the times of frames as Rerun columns, without ``iteration`` if any frame has no training iteration."""
     steps, moments, iterations = (np.array(values, np.int64) for values in zip(*map(astuple, stamps), strict=True))
     sim_times = rr.TimeColumn(layout.SIM_TIME, duration=moments.astype("timedelta64[ns]"))
     columns = [rr.TimeColumn(layout.STEP, sequence=steps), sim_times]

@@ -1,4 +1,4 @@
-"""Write a rerun recording to a file that grows during the run."""
+"""Write a Rerun recording to a file that grows during the run."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, e
 class RecordingFile:
     """A growing recording. Added data stays in memory until ``flush`` writes it to the file ``path``.
 
-    If ``aside`` is true, the file has a temporary name until ``take_place`` renames it to ``path``. ``unfinished`` is
-    the reason, such as a full disk, why a closed recording has no index; otherwise None. ``RecordingFile`` raises
+    If ``aside`` is true, the file has a temporary name until ``take_place`` renames it to ``path``. If closing could
+    not write an index, ``unfinished`` is the reason, such as a full disk; otherwise None. ``RecordingFile`` raises
     RunDirectoryError if the file ``path`` exists. A method of ``RecordingFile`` raises SimulationFailure if it cannot
     write to the file.
     """
@@ -50,7 +50,7 @@ class RecordingFile:
         self.flush()
 
     def static(self, entity: str, *archetypes: Any) -> None:
-        """Add static data (rerun archetypes) of a rerun entity."""
+        """Add static data (Rerun archetypes) of a Rerun entity."""
         columns = {}
         for archetype in archetypes:
             batches = archetype.as_component_batches() if hasattr(archetype, "as_component_batches") else archetype
@@ -63,7 +63,7 @@ class RecordingFile:
         self.static(join(PROPERTIES, name), rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:
-        """Add rows of a rerun entity: columns of rerun components with their timelines."""
+        """Add rows of a Rerun entity: columns of Rerun components with their timelines."""
         self._chunks.append(Chunk.from_columns(entity, times, columns))
 
     def chunks(self, chunks: Iterable[Chunk]) -> None:
@@ -71,7 +71,7 @@ class RecordingFile:
         self._chunks += chunks
 
     def blueprint(self, blueprint: Any) -> None:
-        """Set the default layout of rerun's viewer for a recording."""
+        """Set the default layout of Rerun's viewer for a recording."""
         self._blueprint = blueprint
 
     def take_place(self) -> None:

@@ -1,4 +1,4 @@
-"""Convert the MuJoCo model and the recorded frames to rerun's shapes: geoms, body poses, arrows, the ground."""
+"""Convert the MuJoCo model and the recorded frames to Rerun's shapes: geoms, body poses, arrows, the ground."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def roll_pitch_yaw(quaternion: Array) -> Array:
 
 
 def xyzw(wxyz: Array) -> Array:
-    """Return quaternions (..., 4) in rerun's order (x, y, z, w) from MuJoCo's (w, x, y, z)."""
+    """Return quaternions (..., 4) in Rerun's order (x, y, z, w) from MuJoCo's (w, x, y, z)."""
     return np.roll(wxyz, -1, axis=-1)
 
 
@@ -53,9 +53,9 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 
 def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
-    """Return rerun's archetypes of a MuJoCo geom in its body's frame; [] for a plane or signed distance field.
+    """Return Rerun's archetypes of a MuJoCo geom in its body's frame; [] for a plane or signed distance field.
 
-    MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a rerun capsule
+    MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a Rerun capsule
     is the centre of one cap, at half the capsule's length along the geom's z axis.
     """
     make = _SHAPES.get(mujoco.mjtGeom(int(model.geom_type[geom])))
@@ -115,7 +115,7 @@ Blocks = Mapping[str, Array]
 
 
 def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the buffered numbers of each rerun entity in the column format of rerun's SDK."""
+    """Yield the buffered numbers of each Rerun entity in the column format of Rerun's SDK."""
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
@@ -126,19 +126,19 @@ def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
 
 
 def vector_columns(rows: Array) -> Any:
-    """Convert an array (n, width) to n vectors in the column format of rerun's SDK."""
+    """Convert an array (n, width) to n vectors in the column format of Rerun's SDK."""
     flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
 
 
 def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-    """Yield the base's roll, pitch, and yaw, rad, in the column format of rerun's SDK."""
+    """Yield the base's roll, pitch, and yaw, rad, in the column format of Rerun's SDK."""
     for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
         yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield body poses in the column format of rerun's SDK. ``bodies`` maps MuJoCo body ids to rerun entity paths."""
+    """Yield body poses in the column format of Rerun's SDK. ``bodies`` maps MuJoCo body ids to Rerun entity paths."""
     position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
         yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
@@ -192,7 +192,7 @@ class VelocityArrows:
 
 @dataclass(frozen=True)
 class Ground:
-    """Draws a checkered ground patch that follows the robot in steps of whole tiles, so that the ground looks infinite.
+    """Draws a checkered ground that moves with the robot by whole tiles, so that the ground looks infinite.
 
     ``root`` is the MuJoCo id of the base. ``tile`` is the edge length of a ground tile, m. ``tiles``, the number of
     tiles along an edge of the ground patch, must be even. ``origin`` is the point of the ground plane below the

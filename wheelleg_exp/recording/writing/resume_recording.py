@@ -28,8 +28,8 @@ class EarlierRecording:
     """Reads an interrupted run's recording up to the control step from which a new process resumes the run.
 
     An incomplete last message of the interrupted run's recording is omitted. ``EarlierRecording`` only reads files.
-    ``last`` maps each entity ``episode/number`` and ``episode/step`` to the control step and the value of its last row.
-    ``steps`` maps each entity ``episode/number`` and ``episode/step`` to the control steps of all its rows.
+    ``last`` contains the last row (control step and value) of each entity ``episode/number`` and ``episode/step``.
+    ``steps`` contains all recorded control steps of each entity ``episode/number`` and ``episode/step``.
     ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
     """
 
