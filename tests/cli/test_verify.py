@@ -69,14 +69,14 @@ def test_a_recording_that_could_not_be_merged_is_reported_and_the_run_is_sound(t
         said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path / 'runs'}")
     assert said.status == 0
     (warning,) = [line for line in (said.out + said.err).splitlines() if line.startswith("warning: the recording")]
-    assert "rerun's program is missing" in warning
+    assert "Rerun's program is missing" in warning
     (path,) = (tmp_path / "runs" / "stand").iterdir()
-    assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] == "rerun's program is missing"
+    assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] == "Rerun's program is missing"
     status, found = verify(path)
     assert (status, found["verdict"]) == (0, "sound")
     (check,) = [check for check in found["checks"] if check["name"] == "recording"]
     assert check["state"] == "note"
-    assert "(rerun's program is missing)" in check["notes"][0]
+    assert "(Rerun's program is missing)" in check["notes"][0]
     assert wheelleg("inspect", path, "--repair").status == 0  # as it advises
     again = wheelleg("resume", path, "agent.max_iterations=2")
     assert again.status == 0, again.err
@@ -117,7 +117,7 @@ def test_the_first_iterations_alone_can_be_compared(trained, others, run):
     [
         (["nothing"], "there is no run 'nothing'"),
         (["."], "it has no manifest.json"),
-        (["latest", "latest"], "both runs are the run"),
+        (["latest", "latest"], "the two runs are the same run"),
         (["latest", "--common"], "one was given"),
         (["latest", "latest", "--iterations", "0"], "no iteration is selected for the comparison"),
         ([], "RUN"),

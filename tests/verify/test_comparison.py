@@ -337,7 +337,7 @@ def test_a_log_with_a_gap_is_never_identical(a, b):
 
 
 def test_nothing_to_compare_is_an_error_for_people(a, b):
-    with pytest.raises(RunDirectoryError, match="both runs are the run"):
+    with pytest.raises(RunDirectoryError, match="the two runs are the same run"):
         compared(a, a)
     synthetic.crash(b)
     b.iterations.unlink()

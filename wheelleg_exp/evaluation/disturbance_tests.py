@@ -38,7 +38,7 @@ class Pushes:
         self._longest = max(steps)
 
     def of(self, change: torch.Tensor) -> Callable[[int], None]:
-        """Return a callback ``push(step)`` that changes the robots' velocities by ``change`` (N,), m/s, in total."""
+        """Return a callback ``push(step)``; its calls together change each robot's velocity by ``change`` (N,), m/s."""
         env = self.rollout.env
         each = self.direction * (change / self.pulse).unsqueeze(1)
 

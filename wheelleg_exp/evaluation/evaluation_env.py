@@ -76,7 +76,7 @@ def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
-    """Build an environment that resets no ended episode. Raise ConfigError for a robot with a fixed base."""
+    """Build an environment without a reset at an episode's end. Raise ConfigError for a robot with a fixed base."""
     env = ManagerBasedRLEnv(cfg, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
@@ -98,7 +98,7 @@ def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | Non
 
 
 def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
-    """Return the parameter ``target_height`` of the first reward term with such a parameter; None without one."""
+    """Return the ``target_height`` of the first reward term with this parameter; None if no term has the parameter."""
     nodes = (node for node in env_cfg["rewards"].values() if isinstance(node, Mapping))
     return next((node["target_height"] for node in nodes if node.get("target_height") is not None), None)
 
@@ -111,8 +111,8 @@ class RobotParts:
     on every body, and ``wheel_bodies`` (W,) are the wheels' body indices in this sensor's data. ``wheel_offsets`` (W,)
     are the y coordinates of the wheels in the base's axes, m; None if the robot has no forward direction. ``left`` (P,)
     are driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is
-    ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J) is in N·m, and
-    inf for a joint without a limit; ``mass`` is in kg and ``gravity`` in m/s².
+    ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J), N·m, is inf
+    for a joint without a limit. ``mass`` is in kg, and ``gravity`` is in m/s².
     """
 
     joint_names: tuple[str, ...]
@@ -139,7 +139,7 @@ def parts_of(env: Env) -> RobotParts:
     legs = {*driven} - {wheel.joint for wheel in anatomy.wheels}
     pairs = [p for p in anatomy.mirrored if p.left != p.right and p.left in legs and p.right in driven]
     contacts = contact_sensor(env.cfg["scene"]["sensors"])
-    assert contacts is not None  # evaluation_cfg added one
+    assert contacts is not None  # ``evaluation_cfg`` added a contact sensor.
     bodies = env.scene[contacts].body_names
 
     def indices(found: list[int]) -> torch.Tensor:

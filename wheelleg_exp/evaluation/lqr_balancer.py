@@ -126,7 +126,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
 
 
 def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
-    """Return the inertia of ``bodies``, kg·m², about an axis through ``point`` or each body's centre of mass."""
+    """Return the sum of the bodies' inertias, kg·m², about an axis through ``point`` or each body's centre of mass."""
     total = 0.0
     for body in bodies:
         along = data.ximat[body].reshape(3, 3).T @ axis
@@ -138,7 +138,7 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
 
 
 class Reference:
-    """An LQR balancer with a policy's interface, which reads the exact state and returns the task's actions.
+    """An LQR balancer that is called like a policy, reads the exact simulation state, and returns the task's actions.
 
     The target of a wheel is ``w + u / b``: the speed w, the optimal acceleration u, and the ``bandwidth`` b of the
     wheels' drive in 1/s. A speed difference between the left and the right wheels turns the robot to the commanded

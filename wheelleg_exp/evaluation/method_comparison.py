@@ -58,7 +58,7 @@ class Test:
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """A metric's values in trainings that differ only in the seed, and their mean with a bootstrap interval."""
+    """A metric's values in trainings that differ only in the seed, and the values' mean with a bootstrap interval."""
 
     metric: str
     unit: str
@@ -94,7 +94,7 @@ class Difference:
 
     @property
     def outcome(self) -> str:
-        """``better`` or ``worse`` if the first method differs significantly from the second method, else an empty text.
+        """Whether the first method is significantly ``better`` or ``worse`` than the second method, else an empty text.
 
         A difference is significant if its corrected p value is below ``ALPHA``, and if mean, median, and effect size do
         not have opposite signs. Without a statistical test, a difference of two methods is significant if its
@@ -121,7 +121,7 @@ def interquartile_mean(values: Array) -> float:
     """Return the interquartile mean (mean of the middle half) of ``values``; NaN for an empty array.
 
     The interquartile mean (Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, 2021)
-    drops the lowest and the highest quarter of the values, each rounded down.
+    ignores a quarter of the values, rounded down, at each end.
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan
 
@@ -129,8 +129,8 @@ def interquartile_mean(values: Array) -> float:
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
     """Return a metric's mean over S training seeds with a percentile interval of a bootstrap over seeds and episodes.
 
-    ``values`` (S,) is the metric of each seed. For each seed, ``drawn`` contains an array (B,) with B bootstrap values
-    of the metric. With one training seed, the bootstrap interval covers only the variation between episodes.
+    ``values`` (S,) is the metric's value for each seed. For each seed, ``drawn`` contains B bootstrap values of the
+    metric, (B,). With one training seed, the bootstrap interval covers only the variation between episodes.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
@@ -149,7 +149,7 @@ def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> A
         return held[0] if held else np.zeros(0)
     seeds, lengths = len(held), np.array([len(column) for column in held])
     resamples = int(lengths.max())
-    # Pad short columns to stack all columns in one array; ``places`` never indexes the padding.
+    # Pad short columns, so that one array holds all columns; the indices ``places`` never select the padding.
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
@@ -273,7 +273,7 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a copy of nested containers for JSON, in which None replaces NaN and inf."""
+    """Return a copy of a nested mapping or list for JSON, in which None replaces NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):

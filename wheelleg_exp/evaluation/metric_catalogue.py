@@ -136,7 +136,7 @@ def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
 
 
 def matching(rows: Mapping[str, Array], **values: Any) -> Array:
-    """Return the mask of the episodes whose columns have the given values."""
+    """Return the mask of the episodes whose columns, such as ``level``, have the given values."""
     return np.logical_and.reduce([rows[name] == value for name, value in values.items()])
 
 
@@ -217,7 +217,7 @@ def percentiles(drawn: Array) -> tuple[float, float]:
 
 
 def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
-    """Return those metrics of a test, such as ``walk``, whose columns are given; ``protocol`` sets tolerance bands."""
+    """Return the metrics of a test, such as ``walk``, whose columns all exist; ``protocol`` sets tolerance bands."""
     options = protocol.get(test) or {}
     if test == "walk":
         found = _of_walking(columns, float(options.get("band", 0.1)))

@@ -67,11 +67,11 @@ class Motion:
         return self.made.torque[..., torch.cat(list(self.parts.groups.values()))]
 
     def mean(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the mean of ``values`` (T, N, ...) over trailing axes and all steps after settling, (N,)."""
+        """Return the mean of ``values`` (T, N, ...) over trailing axes and all steps after the settling time, (N,)."""
         return mean(values, self.counted)
 
     def rms(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the RMS of ``values`` (T, N, ...) over trailing axes and all steps after settling, (N,)."""
+        """Return the RMS of ``values`` (T, N, ...) over trailing axes and all steps after the settling time, (N,)."""
         return rms(values, self.counted)
 
     def total(self, values: torch.Tensor) -> torch.Tensor:
@@ -108,7 +108,7 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
     """Return each robot's time of failure, and whether it survived until the end and until each of ``moments``, s.
 
     For an episode without a failure, ``time_to_failure_s`` is the episode length. Because episodes have a limited
-    length, the mean of ``time_to_failure_s`` underestimates the true mean.
+    length, the mean of ``time_to_failure_s`` underestimates the true mean time to failure.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -222,8 +222,8 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     * ``stop_distance``: after the step -c → 0, the distance along the previous heading, m, or the turned angle, rad.
 
     ``asked`` is the velocity command c of each episode, (N, 3). ``stop_s`` and ``stop_distance`` are NaN if the robot
-    did not drive as commanded before the stop. ``settle_did``, ``reversal_did``, and ``stop_did`` are 1 if the
-    corresponding time is not NaN, else 0. Each returned column exists with the suffixes ``_vx`` (forward speed) and
+    did not drive as commanded before the stop. ``settle_did`` is 1 if ``settle_s`` is not NaN, else 0; the same applies
+    to ``reversal_did`` and ``stop_did``. Each returned column exists with the suffixes ``_vx`` (forward speed) and
     ``_wz`` (yaw rate).
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
@@ -246,7 +246,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        # ``beyond`` is the distance (m) or angle (rad) by which a robot overshoots after the command to stop.
+        # ``beyond`` is the distance (m) or angle (rad) that a robot still moves after the command to stop.
         heading = at(yaw, windows[2])
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()
@@ -260,8 +260,8 @@ def group_effort(motion: Motion) -> Columns:
 
     ``torque_rms_<group>`` is the RMS torque over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of
     the torques divided by the joints' effort limits. ``saturation_<group>`` is the share of physics steps at the effort
-    limit, averaged over joints. ``saturation_max_<group>`` is the largest share of physics steps at the effort limit of
-    any joint.
+    limit, averaged over joints. ``saturation_max_<group>`` is the share of physics steps that the most saturated joint
+    spends at its effort limit.
     """
     columns: Columns = {}
     for name, joints in motion.parts.groups.items():
@@ -274,10 +274,7 @@ def group_effort(motion: Motion) -> Columns:
 
 
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the share of the spectral power of signals (T, N, J) above 10 Hz, (N,); NaN for episodes that ended early.
-
-    For a constant signal, the share of the power above 10 Hz is 0.
-    """
+    """Return the share of spectral power above 10 Hz in signals (T, N, J), (N,); NaN for episodes that ended early."""
     whole = counted[-1]
     begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0
     window = values[begin:].double()

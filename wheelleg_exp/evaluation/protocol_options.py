@@ -179,7 +179,7 @@ class Strip:
         distance_share: share of the commanded distance from which an episode has succeeded.
         quiet_s: time before the strip over which the pitch is measured, s.
         quiet_factor: largest pitch swing of a recovered robot, as a factor on the swing before the strip.
-        quiet_floor: RMS pitch swing below which the robot always counts as recovered, rad.
+        quiet_floor: largest RMS pitch swing, rad, at which the robot always counts as recovered.
         recovered_s: time over which the swing is measured, s.
         within_s: longest time to recovery after the strip, s.
     """

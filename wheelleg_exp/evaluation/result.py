@@ -14,7 +14,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Figure:
-    """One metric with its 95 % bootstrap interval over ``episodes`` episodes; both are NaN without episodes.
+    """One metric with its 95 % bootstrap interval; value and interval are NaN if no episode counts.
 
     ``unit`` is empty for shares and ratios. ``better`` says which values are better: ``higher``, ``lower``, or empty.
     """
@@ -35,7 +35,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The result of an evaluation by a protocol.
+    """The result of a policy's evaluation in the tests of an evaluation protocol.
 
     ``scenarios_sha256`` is the digest of the table of commands and its seed: equal for every policy under one protocol.
     ``starts_sha256`` maps each test to a hash of the start states and randomised values. If two evaluations have equal

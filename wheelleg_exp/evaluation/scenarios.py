@@ -17,7 +17,7 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Scenarios:
-    """A table with one episode per row; episodes of a group, called cell, have the same velocity commands over time.
+    """A table with one episode per row; all episodes of a group, called cell, get the same velocity commands.
 
     ``times`` (K,) are the start times of the K successive commands, s, and the first start time is 0. ``cells`` (C, K,
     3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the cells, such

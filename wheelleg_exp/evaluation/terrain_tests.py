@@ -28,7 +28,7 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
-    # A pit's floor keeps its width on a larger tile, so ``origin_window``, a share of the tile's width, must shrink.
+    # On a larger tile, a pit's floor keeps its width, so reduce ``origin_window``, a share of the tile's width.
     wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
@@ -56,11 +56,11 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
 
 
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
-    """Return the driven distance and the success of each robot, (N,) each.
+    """Return each robot's driven distance, its success, and the kind and level of its terrain tile, (N,) each.
 
     ``distance_ratio`` is the distance that a robot drives along its first heading before a failure, divided by the
     commanded distance. ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least
-    ``distance_share``, else 0. The columns ``kind`` and ``level`` identify the terrain tile of each robot.
+    ``distance_share``, else 0.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
     tile = {"kind": (cell // options.levels).double(), "level": (cell % options.levels).double()}
@@ -73,7 +73,7 @@ def _success(made: Trajectories, options: Terrain | Strip) -> Columns:
 
 
 def along_heading(made: Trajectories) -> torch.Tensor:
-    """Return the distance of each robot along its first heading at the last step before a failure, m, (N,)."""
+    """Return how far each robot drives along its first heading until its episode ends, m, (N,)."""
     last = (made.alive.sum(dim=0) - 1).clamp(min=0)
     way = (made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2] - made.pos[0, :, :2]).double()
     heading = made.yaw[0].double()
@@ -151,9 +151,9 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     ``error_vx_on``, and ``error_vx_behind`` are RMS errors of a robot's forward speed before, on, and behind a strip of
     rough ground. ``swing_rad_before``, ``swing_rad_on``, and ``swing_rad_behind`` are RMS deviations of a robot's pitch
     from its mean pitch before a strip of rough ground. ``recovery_s`` is the time from the end of a strip of rough
-    ground until a robot's pitch is quiet. The pitch is quiet if its RMS deviation in the next ``recovered_s`` seconds
-    is at most ``max(quiet_floor, quiet_factor * swing_rad_before)``. ``recovered`` is 1 if the robot did not fall and
-    ``recovery_s`` is at most ``within_s``, else 0.
+    ground until a robot's pitch is quiet. A pitch is quiet if its RMS deviation from the mean before the strip is at
+    most ``max(quiet_floor, quiet_factor * swing_rad_before)`` for ``recovered_s`` seconds. ``recovered`` is 1 if the
+    robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)

@@ -28,8 +28,8 @@ class EffortMeter(SensorBase):
 
     An actuator is saturated if its torque is at least ``saturation`` times the effort limit. The count of torque sign
     changes ignores torques of at most ``deadband`` times the effort limit. ``dt`` is the physics step, s. ``gross``,
-    ``net``, and ``positive`` (N,) are the mechanical work of a control step, J. ``peak`` (N,) is the control step's
-    largest positive power of all joints together, W. For each joint (N, J), ``saturated`` counts physics steps at the
+    ``net``, and ``positive`` (N,) are the mechanical work of a control step, J. ``peak`` (N,) is the largest positive
+    power of all joints together in a control step, W. For each joint (N, J), ``saturated`` counts physics steps at the
     effort limit, ``squares`` sums squared torques, and ``sign_changes`` counts the torque's changes of sign.
     """
 
@@ -58,7 +58,6 @@ class EffortMeter(SensorBase):
         """
         self._sums.zero_()
         self._of_joints[:3].zero_()
-        # If ``counted`` is false, set the stored torque signs to 0, so that the next step counts no change of sign.
         self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
         self._steps.zero_()
 
@@ -108,7 +107,7 @@ class Trajectories:
     step. ``torque_rms``, ``sign_changes``, and ``saturated`` (share of steps at the effort limit) use all physics
     steps. ``work`` contains gross, net, and positive mechanical work, and the largest positive power. ``fell_at`` is
     the number, from 1, of the control step in which an episode failed, and ``ended_by`` is the index of the failure's
-    cause. After an episode's end, its values are undefined.
+    cause. The tensors contain undefined values after the end of an episode.
     """
 
     dt: float  # s
@@ -188,7 +187,7 @@ class Trajectories:
         self.saturated[step] = meter.shares()
 
     def end(self, step: int, failed: torch.Tensor, why: torch.Tensor) -> None:
-        """Store the episodes that failed in a control step, with causes; later failures of an episode are ignored."""
+        """Store which episodes failed in a control step, and why; ignore later failures of the same episode."""
         first = failed & (self.fell_at == 0)
         self.ended_by = torch.where(first, why, self.ended_by)
         self.fell_at = torch.where(first, step + 1, self.fell_at)

@@ -106,7 +106,7 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
 
 
 def write(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write texts, given by relative path, to files below a folder."""
+    """Write files below a folder; ``texts`` maps each relative path to the file's text."""
     for file, text in texts.items():
         path = folder / file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -190,7 +190,7 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
         _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
         if mistakes:
             raise_all(mistakes)
-        # Silence each lint rule that reports a finding about the new task, and give the finding as the reason.
+        # Silence each lint rule that reports a problem of the new task, and state the problem as the reason.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}

@@ -42,7 +42,7 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {file.resolve() for file in files if file.is_file()}
         if _copied_in_place(source, files, folder):
             return folder / source.name
-        # Let the USD library copy files from outside the robot's folder and update the references to them.
+        # The USD library copies files from outside the robot's folder, and updates their paths in the copies.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
         if not done or not (folder / source.name).is_file():
             message, expected = "the robot's layers cannot be copied", "a file whose layers lie in its own folder"
@@ -105,7 +105,7 @@ def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
         return False
     for file in {source.resolve(), *files}:
         _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # Copy a robot file that is a symbolic link under both of its names.
+    if source.name != source.resolve().name:  # Copy the robot file also under the name of its symbolic link.
         _copy(source, folder / source.name)
     return True
 

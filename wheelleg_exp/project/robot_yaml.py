@@ -58,9 +58,9 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     """Return the gains of position-controlled joints, which are the leg joints by default.
 
     By default, a joint has a bandwidth of 3 Hz and a damping ratio of 0.7 under load. The default stiffness of a joint
-    allows a static error of at most 0.05 rad under the weight. The default effort limit is three times the torque that
-    carries the weight. A stiffness from the robot file is refused if it is too small for the weight, too large for the
-    effort limit, or unstable with the physics time step.
+    limits the position error under the robot's weight to 0.05 rad. The default effort limit is three times the torque
+    that carries the robot's weight. A stiffness from the robot file is not used if it is too small for the robot's
+    weight, too large for the effort limit, or unstable with the physics time step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
@@ -105,10 +105,10 @@ class _Load:
     """The inertias and torques from which the default gains of a leg joint are computed.
 
     ``inertia`` (kg·m²) is the inertia that the joint's torque accelerates while all other joints are free. ``carried``
-    (kg·m²) is the inertia of the carried mass, as a point mass at the lever of the weight. ``holds_now`` (N·m) is the
-    torque that holds the default pose. ``hold`` (N·m) is the larger of ``holds_now`` and the torque of the weight at a
-    lever of a quarter of the leg's length. ``stiffest`` (N·m/rad) is the stiffness at which the undamped joint
-    oscillates at one radian per physics step.
+    (kg·m²) is the inertia of the mass that the joint carries, as a point mass at the lever of the weight. ``holds_now``
+    (N·m) is the joint's torque that holds the robot in its default pose. ``hold`` (N·m) is the larger of ``holds_now``
+    and the torque of the weight at a lever of a quarter of the leg's length. ``stiffest`` (N·m/rad) is the stiffness at
+    which the undamped joint oscillates at one radian per physics step.
     """
 
     inertia: float
@@ -161,7 +161,7 @@ def wheel_gains(robot: Survey) -> Gains:
 def _filled(
     robot: Survey, joints: list[str], from_file: Callable[[str], float | None], default: Callable[[str], float]
 ) -> tuple[dict[str, float], bool]:
-    """Return one kind of gain or limit for each joint, and whether the robot file gives a value for every joint."""
+    """Return the value of one gain or limit for each joint, and whether the robot file gives all of these values."""
     found = {name: from_file(name) for name in joints}
     values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
@@ -309,7 +309,7 @@ def _group(name: str, joints: list[str], gains: Gains) -> str:
 def number(value: float, digits: int = 4) -> str:
     """Return a number as text with few significant digits, which YAML reads as a float."""
     if not math.isfinite(value):
-        raise ValueError(f"the value {value} of the robot is not a finite number")
+        raise ValueError(f"a measurement of the robot gave {value} instead of a finite number")
     text = repr(float(f"{value:.{digits}g}"))
     return text if "." in text else text.replace("e", ".0e")
 
@@ -323,7 +323,7 @@ def word(name: str) -> str:
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
     """Return joint or body names as a YAML list, on several lines if the list is long.
 
-    ``used`` is the number of characters to the left of the list, and ``indent`` the indentation of its further lines.
+    The list starts after ``used`` characters; each further line is indented by ``indent`` spaces.
     """
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"

@@ -36,7 +36,7 @@ Quaternion = tuple[float, float, float, float]
 Array = NDArray[np.float64]
 
 _ALONG = math.cos(math.radians(15))  # Two axes count as parallel if the angle between them is below 15 degrees.
-_LEAN = math.radians(0.5)  # smaller leans are ignored
+_LEAN = math.radians(0.5)  # Smaller leans are ignored.
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,9 @@ class Standing:
 
     ``frame`` (w, x, y, z) rotates the root link's frame so that x points forwards and z upwards. ``frame`` is None if
     the root link's frame in the robot file already has x forwards and z upwards. ``rotation`` is the rotation of the
-    root link in the world (w, x, y, z). ``positions`` maps leg joints to positions, rad or m. ``stance`` is None for a
-    robot that has no wheels. ``lean`` is the pitch of the base, rad, positive if the front is lower.
+    root link in the world (w, x, y, z). ``positions`` maps leg joints to standing positions, rad or m. ``stance``
+    describes how a robot stands on wheels; None without wheels. ``lean`` is the pitch of the base, rad, positive if the
+    front is lower.
     """
 
     frame: Quaternion | None
@@ -66,7 +67,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the rotation from the file's root frame to a frame with x forwards and z upwards at the pitch ``lean``.
+    """Return the rotation from the robot file's root frame to a frame with x forwards, z upwards, and pitch ``lean``.
 
     If forward, left, and up are within 15 degrees of the robot file's coordinate axes, these axes are used instead.
     """
@@ -87,7 +88,7 @@ def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
     return w, x, y, z
 
 
-_GROUND = 0.05  # A body counts as on the ground up to a height of 5 % of the robot's standing height.
+_GROUND = 0.05  # A body below 5 % of the robot's standing height counts as touching the ground.
 _LEVEL = 0.99  # The root link is upright if the cosine of its tilt is at least 0.99.
 _EXPECTED = "a robot with joints to drive and colliders to stand on"
 
@@ -240,7 +241,7 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the driven joints except wheels, and the joints without a drive.
+    """Return the names of the driven joints except wheels, and the names of the joints without a drive.
 
     If the robot file drives no leg joint, all leg joints except mimic joints count as driven. If the robot file drives
     no wheel, all wheels except mimic joints count as driven.

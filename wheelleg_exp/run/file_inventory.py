@@ -28,11 +28,12 @@ class FileRecord(TypedDict):
 class FileFindings:
     """The sorted relative paths of a run's files that differ from the run's manifest."""
 
-    missing: list[str] = field(default_factory=list)  # files in the manifest that do not exist or are symbolic links
+    # The manifest lists the ``missing`` files, but they do not exist or are symbolic links.
+    missing: list[str] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=list)  # symbolic links that the manifest does not list
+    links: list[str] = field(default_factory=list)  # ``links`` are symbolic links that the manifest does not list.
 
     def __bool__(self) -> bool:
         return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
@@ -74,7 +75,6 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
 def odd_entries(directory: Path) -> dict[str, str]:
     """Return the names and types of entries below ``directory`` that are neither folders nor regular files."""
     # A symbolic link can lead outside the run directory, and reading from a pipe or a device may never end.
-    # The search for links, pipes, and devices ignores files that disappear during the search.
     found: dict[str, str] = {}
     for folder, folders, names in os.walk(directory):
         for path in (Path(folder, name) for name in [*folders, *names]):

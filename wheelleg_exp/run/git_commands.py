@@ -48,8 +48,8 @@ class Repository:
     """A git working tree: its top folder, and the environment of the git commands that run in this folder."""
 
     top: Path
-    environ: dict[str, str] = field(default_factory=dict)  # environment variables that are set for each git command
-    settings: dict[str, str] = field(default_factory=dict)  # git settings that override the user's git config
+    environ: dict[str, str] = field(default_factory=dict)  # ``environ`` has environment variables for each git command.
+    settings: dict[str, str] = field(default_factory=dict)  # ``settings`` override the user's git config.
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return the command's output; raise GitError for a failure."""

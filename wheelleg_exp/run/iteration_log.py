@@ -19,11 +19,11 @@ class Line:
     """One iteration of ``iterations.jsonl``."""
 
     iteration: int
-    digests: dict[str, str]  # by name
+    digests: dict[str, str]  # ``digests`` maps names to hashes.
     scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
-    digest_format: int | None = None  # version of the hash algorithm that computed ``digests``
-    content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # the whole log line
-    end: int = 0  # byte offset in ``iterations.jsonl`` at which the iteration's line ends
+    digest_format: int | None = None  # ``digest_format`` is the version of the hash algorithm of ``digests``.
+    content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # The whole log line.
+    end: int = 0  # ``end`` is the byte offset in ``iterations.jsonl`` at which the iteration's line ends.
 
 
 @dataclass(frozen=True)

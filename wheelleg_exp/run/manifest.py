@@ -131,7 +131,7 @@ def bytes_match_digest(data: bytes) -> bool:
 
 
 def values_match_digest(document: Mapping[str, Any]) -> bool | None:
-    """Return whether the values of a manifest in the old format 1 match the manifest's hash; None without a hash."""
+    """Return whether a manifest in the old format 1 matches its own hash; None if the manifest has no hash."""
     # Manifest format 1 hashes rounded numbers, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
@@ -214,7 +214,6 @@ class Manifest:
         if not path.is_file():
             raise RunDirectoryError(f"'{path.parent}' is not a run directory: it has no {MANIFEST_NAME}")
         data = read_json(path)
-        # Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of a known format.
         where = os.fspath(path)
         if not isinstance(data, dict) or "format" not in data:
             raise RunDirectoryError("the file is not a run manifest", where=where, expected="a mapping with 'format'")
@@ -247,7 +246,7 @@ class Manifest:
 
     @property
     def status(self) -> str:
-        """The recorded status of the run, one of ``STATUSES``; a killed run has the recorded status ``running``."""
+        """The run's status in the manifest, one of ``STATUSES``; a killed run keeps the status ``running``."""
         return str(self.data["status"])
 
     @property
@@ -261,7 +260,7 @@ class Manifest:
         return self.data["results"]
 
     def matches_digest(self) -> bool | None:
-        """Return whether the manifest matches its own hash; None for a manifest in the old format 1 without a hash."""
+        """Return whether the manifest matches its own hash; None if a manifest in the old format 1 has no hash."""
         if self.data["format"] == FORMAT_WITH_VALUE_DIGEST:
             return values_match_digest(self.data)
         with for_people(self.path, "read"):
@@ -311,7 +310,7 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        A new entry in the manifest's list ``resumes`` contains ``facts`` and the values that the resume replaces.
+        ``facts``, and the values that the resume replaces, become an entry in the manifest's list ``resumes``.
         ``texts`` maps the path of each config file that the resume changes to the file's new text.
         """
         texts = dict(texts or {})
@@ -378,7 +377,7 @@ class Manifest:
         return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
-        """Return whether a file of the run matches its newest hash in the manifest; True if the manifest has none."""
+        """Return whether a file of the run matches its newest hash in the manifest; True if there is no hash."""
         record = self.recorded_files().get(path.name)
         return record is None or record["sha256"] == sha256(path)
 

@@ -67,11 +67,10 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
 
 def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
     """Convert an environment's parameters from the format of an older version of the program to the current format."""
-    # The parameters of a run can be in the format of an older version of wheelleg_exp.
     # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
     if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
-        return dict(env)  # A later check of the config reports the wrong type of ``scene`` or ``sim``.
+        return dict(env)  # If ``scene`` or ``sim`` is not a mapping, a later check of the config raises an error.
     scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
     if isinstance(scene.get("ground"), Mapping):
         plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
@@ -84,7 +83,7 @@ def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
     # By default, the commands evaluate, play, and export simulate with MuJoCo on the CPU, which needs no GPU.
     # The metrics of two evaluations are comparable only if both evaluations use the same physics engine.
     if not isinstance(env.get("sim"), Mapping):
-        return dict(env)  # A later check of the config reports the wrong type of ``sim``.
+        return dict(env)  # If ``sim`` is not a mapping, a later check of the config raises an error.
     return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
 
 
@@ -153,7 +152,7 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
 
 
 def require_overrides(words: Iterable[Any], path: Path) -> None:
-    """Raise RunDirectoryError unless all words, read from the file ``path``, are allowed config overrides."""
+    """Raise RunDirectoryError unless all words from the file ``path`` are allowed config overrides."""
     # Do not trust overrides that are read from a file, because anyone can have changed the file.
     for word in words:
         if not isinstance(word, str) or not is_override(word) or _FORBIDDEN.match(word):
@@ -176,8 +175,8 @@ def resolved(
 ) -> dict[str, Any]:
     """Return a config or some config sections; each ``${...}`` is resolved from the config and the given variables.
 
-    ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. ``absent(NAME)``
-    returns the value of a variable without an entry in ``variables`` and without a default.
+    ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. If ``variables`` lacks
+    NAME, and the config gives no default, ``absent(NAME)`` returns the value.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException

@@ -1,7 +1,6 @@
 """Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
 
-A folder with the index file of a pipeline is not a run directory. If a user gives the folder of a training pipeline
-instead of a run, the error lists the pipeline's run directories.
+If a user gives the folder of a training pipeline instead of a run, the error lists the pipeline's run directories.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entrie
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
-# The pattern of a task name and of ``run.name``, which are parts of a run directory's path.
+# The task name and ``run.name`` must match ``NAME``, because a run directory's path contains both.
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
@@ -107,8 +106,8 @@ class RunDirectory(os.PathLike[str]):
     ) -> RunDirectory:
         """Create the run directory ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``; the time is local.
 
-        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. ``section`` is
-        ``agents`` or ``replays``, a subfolder of ``root`` whose runs ``wheelleg list runs`` does not list.
+        If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. ``section`` is the
+        subfolder ``agents`` or ``replays`` of ``root``; ``wheelleg list runs`` does not show its runs.
         """
         _require_name(task, "task.name")
         if task in _NOT_TASKS:

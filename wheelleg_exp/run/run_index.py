@@ -204,7 +204,7 @@ class PipelineIndex(_RunIndex):
         """Create the folder and the index file of a new pipeline below ``root``, the folder of all runs.
 
         ``config`` is the pipeline's config as JSON values. ``overrides`` apply to all training phases. ``digests`` maps
-        the name of each phase to a hash of the phase's config.
+        the name of each training phase to a hash of the phase's config.
         """
         phases: list[dict[str, Any]] = []
         for name, digest in digests.items():

@@ -30,7 +30,7 @@ CRASHED, DAMAGED = "crashed", "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
-_TAIL_BYTES = 65536  # The number of bytes to read at the end of iterations.jsonl; all lines of this file are shorter.
+_TAIL_BYTES = 65536  # Read only the last 64 KiB of iterations.jsonl, because each line of the file is shorter.
 # ``FIGURES`` maps short names of performance metrics to the names of scalars in the training log.
 FIGURES = {
     "return": "Train/mean_reward",
@@ -45,21 +45,22 @@ class RunSummary:
 
     id: str
     task: str
-    status: str  # status in the manifest, or ``crashed`` for a killed run, or ``damaged`` for an unreadable manifest
+    status: str  # ``status`` is ``crashed`` for a killed run and ``damaged`` for an unreadable manifest.
     path: Path
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
-    problem: str | None = None  # error of a failed or damaged run, or a note on episodes with NaN or inf
+    problem: str | None = None  # ``problem`` says why a run failed or is damaged, or counts episodes with NaN or inf.
     failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
-    iterations: int | None = None  # finished iterations
+    iterations: int | None = None  # The number of finished iterations.
     max_iterations: int | None = None
     checkpoint: int | None = None  # The iteration of the run's last checkpoint.
     resumable: bool = False  # True if ``wheelleg resume`` can continue the run.
     resumes: int = 0
-    figures: dict[str, float] = field(default_factory=dict)  # last logged values of the metrics in FIGURES
+    # ``figures`` maps the name of each metric in ``FIGURES`` to the metric's last logged value.
+    figures: dict[str, float] = field(default_factory=dict)
     played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last ``wheelleg play``.
     evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
@@ -95,7 +96,7 @@ def summarize(folder: Path) -> RunSummary:
         written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
         total = int(written[1]) if written else None
     match = _FOLDER.fullmatch(folder.name)
-    results: dict[str, dict[str, Any]] = {}  # newest results of each command, such as ``play``
+    results: dict[str, dict[str, Any]] = {}  # Map each command, such as ``play``, to its newest results.
     bundles = []
     for entry in data["additions"]:
         kind, found = str(entry.get("kind")), entry.get("results")
@@ -180,7 +181,7 @@ def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | No
     if checkpoint is None:  # A run without a checkpoint can be resumed if its config and robot files exist.
         return total > 0 and all((folder / name).is_file() for name in NEEDED)
     computed = checkpoint + 1
-    if (done or 0) < computed:  # A resume from the checkpoint would leave a gap in the iteration log.
+    if (done or 0) < computed:  # Without log lines up to the checkpoint, a run cannot be resumed.
         return False
     # A run that stopped between its last iteration and the export can be resumed to export the policy.
     return computed < total or (computed == total and status != "finished")
@@ -263,7 +264,7 @@ class SweptRun:
 
 
 def swept_runs(root: Path) -> dict[Path, SweptRun]:
-    """Return the summaries of all sweep runs below ``root`` by run directory; ignore sweeps with a damaged index."""
+    """Return the sweep and the swept config values of each sweep run below ``root``; ignore damaged sweeps."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
         try:
@@ -274,7 +275,7 @@ def swept_runs(root: Path) -> dict[Path, SweptRun]:
 
 
 def runs_of(index: SweepIndex) -> dict[Path, SweptRun]:
-    """Return the summaries of one sweep's runs by run directory."""
+    """Return the sweep's id and the swept config values of each run of a sweep, by run directory."""
     found = {}
     for job in index.jobs:
         folder = index.run_of(job)

@@ -27,7 +27,7 @@ def this_process() -> dict[str, Any]:
 
 
 def is_alive(recorded: Mapping[str, Any]) -> bool | None:
-    """Return whether a process recorded by ``this_process`` has not ended; None if the process is on another host."""
+    """Return whether a process that ``this_process`` recorded still runs; None if the process is on another host."""
     pid = recorded.get("pid")
     if not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
         return None

@@ -12,7 +12,7 @@ from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nu
 _SHOWN_REASONS, _SHOWN_PATHS = 5, 3
 _ABSENT = "000000"
 
-State = str | None  # The state of a path is the path's git mode and blob id, or None if the git tree lacks the path.
+State = str | None  # A file's state is its git mode and blob id as text, or None if the git tree lacks the file.
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class FileChanges:
 
 
 def source_lines(content: Mapping[str, Any]) -> list[str]:
-    """Return one line for each source repository in ``content``, and a warning for each incomplete repository."""
+    """Describe each source repository in a line; add a warning line for a repository with files that are not stored."""
     lines = []
     for record in (content, *content["others"]):
         lines.append(_source_line(record))
@@ -57,7 +57,7 @@ def _source_line(record: Mapping[str, Any]) -> str:
 
 
 def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
-    """Return the files that differ between two ``git.json`` records, or the reason why these files are unknown."""
+    """Return a text with the source files that differ between two runs, or with the reason why they are unknown."""
     place = str(now.get("root") or was.get("root") or "the source")
     if not (was and now):
         return f"{place}: part of only one of the two sources"
@@ -95,7 +95,7 @@ def _compare(
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
-        # A file that is not in ``between`` is equal in both git commits.
+        # If ``between`` lacks a file, the file is equal in both git commits.
         return between[path][side] if path in between else other[path][0]
 
     found = FileChanges()

@@ -64,7 +64,7 @@ def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
-    """Return the first given folder whose git repository contains the recorded commit; None without a commit."""
+    """Return the first given folder whose git repository has the recorded commit; None if no commit is recorded."""
     # If no folder contains the recorded commit, the error names the git command that fetches the commit.
     commit = record["commit"]
     if commit is None:

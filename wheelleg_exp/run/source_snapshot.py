@@ -37,7 +37,7 @@ _GITLINK, _NO_MODE = "160000", "000000"
 
 @dataclass(frozen=True)
 class NotCaptured:
-    """A file whose content the source snapshot lacks, and the reason for the lack."""
+    """A file whose content is not in the source snapshot, and the reason why not."""
 
     path: str
     reason: str
@@ -75,9 +75,9 @@ def snapshot_source(
 
     ``roots`` contains source folders and single source files; the first is the folder of ``wheelleg_exp``. ``git.json``
     has one record for each git repository that contains source folders. Untracked files in ``runs_root``, the folder of
-    all runs, are not stored. ``max_patch_mb`` limits the size of a repository's patch (its uncommitted changes), and
-    the total size of its untracked files, in megabytes (10^6 bytes). If a git command fails, the run continues, and
-    ``git.json`` contains a status and a note about the failure.
+    all runs, are not stored. ``max_patch_mb`` limits, in megabytes (10^6 bytes), the size of each repository's patch
+    and the total size of its untracked files. If a git command fails, the run continues, and ``git.json`` contains a
+    status and a note about the failure.
     """
     records: list[dict[str, Any]] = []
     for place in _group(roots):
@@ -116,7 +116,7 @@ def new_record(status: Status, root: Path | None, note: str | None) -> dict[str,
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
-    """Return whether ``root`` is in a ``site-packages`` folder, regardless of the folder ``above`` and its parents."""
+    """Return whether ``root`` is in a ``site-packages`` folder; if ``above`` is given, look only below ``above``."""
     parts = root.parts if above is None else root.relative_to(above).parts
     return any(part in _INSTALL_FOLDERS for part in parts)
 
@@ -221,7 +221,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
 
 
 def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
-    """Add the git tree id to ``record``, and return the patch of uncommitted changes; None if it is too large."""
+    """Add the git tree id to ``record``; return the patch of uncommitted changes, or None if the patch is too large."""
     untracked, refused = _untracked_files(repository, runs_root)
     record["refused"] = [asdict(entry) for entry in refused]
     sizes = _sizes(repository, untracked)
@@ -236,7 +236,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
-        # In the temporary index, reset files with a git filter to the commit; mode 0 removes a file from the index.
+        # In the temporary index, restore the committed version of files with a git filter; mode 0 removes a file.
         names = {entry.path for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]

@@ -54,8 +54,8 @@ class Check:
 
     name: str
     text: str
-    failures: list[str] = field(default_factory=list)  # errors that make the check fail
-    notes: list[str] = field(default_factory=list)  # harmless facts
+    failures: list[str] = field(default_factory=list)  # Each of the ``failures`` is an error that makes the check fail.
+    notes: list[str] = field(default_factory=list)  # Each of the ``notes`` is a harmless fact.
     skipped: str | None = None  # The reason why the check of a run was skipped; None if the check ran.
 
     @property
@@ -106,7 +106,7 @@ class RunFindings:
 
 
 def cut(lines: Iterable[str]) -> list[str]:
-    """Return the first of the given lines, and a line with the number of omitted lines."""
+    """Return at most 10 of the given lines, and a line with the number of omitted lines."""
     found = list(lines)
     hidden = len(found) - _SHOWN
     return [*found[:_SHOWN], f"and {hidden} more"] if hidden > 0 else found
@@ -124,7 +124,7 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 
 def manifest(subject: Subject) -> Check:
-    """Check that nobody changed the manifest after the run wrote it; report a failure and resumes as notes."""
+    """Check that nobody changed the manifest after the run wrote it; list the run's error and resumes as notes."""
     data = subject.data
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
@@ -203,7 +203,7 @@ def _what_became_of(path: Path) -> str:
 
 
 def _is_growing(subject: Subject, name: str) -> bool:
-    """Return whether the run adds the file ``name`` to the manifest only when the run ends."""
+    """Return whether a file is added to the manifest only at the end of the run."""
     return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
 
 

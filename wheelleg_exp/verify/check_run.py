@@ -69,7 +69,7 @@ def params(subject: Subject) -> Check:
 
 
 def _is_interpolated(tree: Any, keys: Keys) -> bool:
-    """Return whether the config value at the path ``keys`` comes from an interpolation such as ``${task.name}``."""
+    """Return whether a config value, given by its path, comes from an interpolation such as ``${task.name}``."""
     for name in keys:
         if isinstance(tree, str):
             break

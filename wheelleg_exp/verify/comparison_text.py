@@ -18,8 +18,8 @@ class Divergence:
 
     iteration: int | None  # The first training iteration in which two runs differ; None if no iteration is known.
     part: str  # ``part`` names what differs between two runs, such as ``settings`` or ``files`` (missing or damaged).
-    name: str  # The first config key, hash, scalar, tensor, or recorded entity that differs between two runs.
-    a: Any = None  # value of the first differing entry in run A, or None if a whole file differs
+    name: str  # The name of the first difference between two runs, such as a config key or a tensor.
+    a: Any = None  # ``a`` and ``b`` are the differing values in runs A and B; None if a whole file differs.
     b: Any = None
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -168,7 +168,7 @@ def _fact_row(difference: FactDifference) -> tuple[str, str, str, str]:
     a, b = difference.a, difference.b
     if isinstance(a, list) and isinstance(b, list):
         a, b = ([x for x in one if x not in other] for one, other in ((a, b), (b, a)))
-    # Only the first digits of a source code hash are printed.
+    # Print only the first 10 digits of a hash of the source code.
     is_hash = [difference.section == "code" and isinstance(x, str) and len(x) in (40, 64) for x in (a, b)]
     one, other = (brief(x[:10] if short else x) for x, short in zip((a, b), is_hash, strict=True))
     allows = f"allows other rounding: {difference.allows}" if difference.allows else ""

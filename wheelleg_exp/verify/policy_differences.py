@@ -33,7 +33,7 @@ _MOST_LEAVES = 50  # A comparison of two checkpoints stores at most 50 differenc
 
 @dataclass(frozen=True)
 class Pair:
-    """The checkpoints of one iteration in two runs."""
+    """The comparison of the checkpoints that two runs saved at one iteration."""
 
     iteration: int
     # The state ``content`` means that two checkpoint files contain equal tensors, but different bytes.
@@ -41,7 +41,7 @@ class Pair:
     count: int = 0  # The number of tensors, numbers, and texts that differ between two checkpoints.
     of: int = 0
     differences: list[Difference] = field(default_factory=list)  # Differences of network weights are listed first.
-    by_part: dict[str, int] = field(default_factory=dict)  # number of differences in each part of the checkpoint
+    by_part: dict[str, int] = field(default_factory=dict)  # Count differences in each part, such as the actor network.
     parameters: float | None = None  # The relative Euclidean distance between the parameters of two networks.
     problem: str | None = None  # The reason why a checkpoint file cannot be read.
 
@@ -119,10 +119,9 @@ def _order(difference: Difference) -> tuple[int, float]:
 
 
 _EQUAL, _EQUAL_CONTENT = "equal", "weights and code equal, other bytes"
-# Ignore the numbers that TorchScript adds to class names, because they depend on the order of scripting.
 _NUMBER, _NUMBER_IN_PATH = re.compile(r"\.___torch_mangle_\d+"), re.compile(r"/___torch_mangle_\d+(?=[./])")
 _CONSTANTS = re.compile(r"(?:^  \w+ : Final\[.*\n)+", re.MULTILINE)
-# Ignore pickle operations that contain no values, but only the protocol version or memo positions.
+# Ignore pickle operations that contain no values of the exported policy.
 _BOOKKEEPING = {"PROTO", "FRAME", "PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"}
 
 
@@ -170,7 +169,7 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
 
 def _archived_code(path: Path) -> dict[str, Any]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
-    # TorchScript numbers its classes and orders its constants differently in each process, so ignore both.
+    # TorchScript numbers its classes and orders its constants differently in each process, so ignore numbers and order.
     found: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)

@@ -20,7 +20,7 @@ from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_t
 from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
-_OF_THE_SNAPSHOT = ("params", "source", "asset")  # names of the checks of ``verify_run`` that read a run's input files
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # ``verify_run`` has three checks of a run's input files.
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
@@ -31,15 +31,15 @@ class Comparison:
     a: Measured
     b: Measured
     verdict: Verdict
-    reason: str  # reason for the verdict, such as ``settings differ``
+    reason: str  # ``reason`` explains the verdict, such as ``settings differ``.
     first_divergence: Divergence | None
     iterations: int  # The number of compared training iterations.
     settings: list[Change]
     robot: list[Change]
     parts: dict[str, Part]
     checkpoints: CheckpointComparison
-    environment: list[FactDifference]  # differences in code, versions, hardware, and environment variables
-    tolerance: Tolerance | None = None  # measured deviations; None unless a cause such as another CPU can explain them
+    environment: list[FactDifference]  # ``environment`` lists differences such as other code or another CPU.
+    tolerance: Tolerance | None = None  # None unless a cause such as another CPU can explain unequal numbers.
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison of two runs as a JSON document."""
@@ -85,7 +85,7 @@ def compare_runs(
     iteration. By default, two ended training runs with unequal numbers of iterations count as different.
     """
     if a.path == b.path:
-        raise RunDirectoryError(f"both runs are the run '{a.id}'", expected="two runs, or one run to check by itself")
+        raise RunDirectoryError(f"the two runs are the same run '{a.id}'", expected="two runs, or one run alone")
     one, other = measure(a), measure(b)
     return _compare(one, other, span_of(one, other, iterations, common))
 
@@ -100,7 +100,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         settings, asked = [], Part("not compared", str(error))
     robot = differences.robot_changes(a.run, b.run)
     environment = differences.run_differences(a.run, b.run)
-    # Two versions of MuJoCo write equal compiled models with different bytes.
+    # Two versions of MuJoCo write different bytes for the same compiled model.
     another = any((d.section, d.name) == ("versions", "mujoco") for d in environment)
     other_robot = [change for change in robot if not (another and change.key == "compiled model")]
     checkpoints = compare_checkpoints(a.run, b.run, span.until)

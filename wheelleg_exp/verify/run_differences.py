@@ -1,7 +1,7 @@
 """List the differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
 
-A difference such as another CPU or another version of PyTorch *allows* unequal numbers, because it can change rounding
-errors. Different settings or another number of physics threads do not allow unequal numbers. Different code *forbids* a
+Another CPU or another version of PyTorch *allows* unequal numbers in two runs, because rounding errors can change.
+Different settings or another number of physics threads do not allow unequal numbers. Different code *forbids* a
 comparison within tolerance, because no test can separate the effects of code from rounding errors.
 """
 
@@ -34,7 +34,7 @@ _HARMLESS: tuple[Keys, ...] = (
 
 
 def decides(keys: Keys) -> bool:
-    """Return whether the setting at the path ``keys`` can change a number of the training."""
+    """Return whether a setting, given by its config path, can change a computed number of the training."""
     return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
 
 
@@ -85,7 +85,7 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
 
 
 def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that a resume changed and that can change a number of the training."""
+    """Return the settings that a resume changed, without settings that cannot change a computed number."""
     changed = {str(change.get("key")): change.get("now") for change in entry.get("changes") or ()}
     return {key: value for key, value in changed.items() if decides(tuple(key.split(".")))}
 
@@ -155,9 +155,9 @@ class FactDifference:
 
     section: str  # The kind of fact that differs, such as ``versions``, ``hardware``, ``code``, or ``resumed``.
     name: str
-    a: Any  # value of the fact in run A, such as a CPU model; a list if a resume changed the value
+    a: Any  # ``a`` is the fact's value in run A, such as a CPU model; a list if a resume changed the value.
     b: Any
-    allows: str | None = None  # reason why the difference can cause other rounding errors, such as ``another CPU``
+    allows: str | None = None  # ``allows`` says why rounding errors can differ, such as ``another CPU``.
     forbids: bool = False  # True if a difference such as other code can change numbers by more than rounding errors.
     note: str = ""  # A text that describes how the source code of two runs differs.
 
@@ -195,7 +195,7 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
-    """Return the different values of each fact, such as ``cpu``, in a run's first process and in all resumes."""
+    """Return all values of each fact, such as ``cpu``, in the processes that started and resumed a run."""
     before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
     processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
     tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
@@ -251,7 +251,7 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
             yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
-        if not facts:  # Equal source records without hashes do not prove that the source files are equal.
+        if not facts:  # Without hashes, equal source records do not prove equal source files.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
@@ -294,10 +294,10 @@ def _normal(name: str) -> str:
 
 
 def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences between two runs that explain unequal numbers in the runs."""
+    """Return those differences between two runs, such as another CPU, that can explain unequal numbers."""
     return [difference for difference in differences if difference.allows]
 
 
 def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
-    """Return the differences between two runs that forbid a comparison within tolerance."""
+    """Return those differences between two runs, such as other code, that forbid a comparison within tolerance."""
     return [difference for difference in differences if difference.forbids]

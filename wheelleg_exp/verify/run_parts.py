@@ -45,11 +45,11 @@ class Span:
 
     until: int
     whole: bool  # True if the comparison covers all iterations of both runs.
-    closed: bool  # True if all iterations of both runs are compared and neither run was killed.
-    shorter: str | None = None  # run with fewer iterations, ``A`` or ``B``; None if the lengths are equal or may differ
+    closed: bool  # True if all iterations of both runs are compared, and each run finished or was interrupted.
+    shorter: str | None = None  # ``A`` or ``B`` names a run that is too short for a full comparison; otherwise None.
 
     def covers(self, name: str) -> bool:
-        """Return whether damage to the file ``name`` affects the compared iterations."""
+        """Return whether damage to a file of a run affects the compared iterations."""
         checkpoint = CHECKPOINT.fullmatch(name)
         if self.whole or checkpoint is None:
             return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)
@@ -67,7 +67,7 @@ def measure(run: RunDirectory) -> Measured:
 
 
 def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
-    """Return the iterations of two runs to compare; raise RunDirectoryError if a run has no finished iteration."""
+    """Decide which iterations of two runs to compare; raise RunDirectoryError if a run has no finished iteration."""
     lengths = len(a.log.lines), len(b.log.lines)
     asked = max(lengths) if iterations is None else iterations
     until = min(*lengths, asked)
@@ -99,7 +99,7 @@ class Part:
     details: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the comparison of one part of two runs, such as the scalars, as a JSON document."""
+        """Return the comparison of, for example, the scalars of two runs as a JSON document."""
         return {"state": self.state, "text": self.text, **self.details}
 
 
@@ -168,7 +168,7 @@ def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
 
 
 def recording_part(a: Measured, b: Measured) -> Part:
-    """Compare all recorded entities of two training recordings, except texts and wall-clock times."""
+    """Compare the recordings of two trainings, except texts and wall-clock times."""
     ones, others = a.run.recording, b.run.recording
     if not ones.exists() or not others.exists():
         owners = [side for side, path in (("A", ones), ("B", others)) if path.exists()]

@@ -21,11 +21,11 @@ class Difference:
 
     name: str
     kind: str  # The kind of difference: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
-    a: Any  # The differing number, text, shape, dtype, or type in the first of two compared mappings.
+    a: Any  # ``a`` and ``b`` are the differing values, shapes, dtypes, or types in the mappings A and B.
     b: Any
     index: tuple[int, ...] = ()  # The index of the tensor element with the largest difference.
     largest: float | None = None  # The largest absolute difference of two tensors, which can be NaN or inf.
-    relative: float | None = None  # ``largest`` divided by the larger of ``|a|`` and ``|b|``
+    relative: float | None = None  # ``relative`` is ``largest`` divided by the larger of ``|a|`` and ``|b|``.
     count: int = 1  # The number of tensor elements that differ; ``of`` is the number of all elements.
     of: int = 1
 
@@ -63,7 +63,7 @@ def count_leaves(tree: Any) -> int:
 
 
 def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
-    """Return the Euclidean distance ``|a - b| / |b|`` over all tensors of two mappings; inf if the shapes differ."""
+    """Return the relative Euclidean distance ``|a - b| / |b|`` of two mappings of tensors; inf if shapes differ."""
     if a.keys() != b.keys() or any(a[name].shape != b[name].shape for name in a):
         return math.inf
     apart = sum(float((a[name].double() - b[name].double()).square().sum()) for name in a)
@@ -91,7 +91,7 @@ def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
     differs = (bits[0] != bits[1]).any(dim=1)
     ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
     apart = (ones - others).abs()
-    # The difference of two inf or two NaN values would be NaN, so set it to 0.
+    # The difference of two inf or two NaN values would be NaN, so set the difference to 0.
     apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0
     odd = differs & ~apart.isfinite()
     if bool(odd.any()):

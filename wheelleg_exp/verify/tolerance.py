@@ -1,8 +1,8 @@
 """Decide whether rounding alone can explain why two training runs have unequal numbers.
 
 A training amplifies even a difference in the last digit of a number. In a test, two runs with different matrix kernels
-agreed to 1e-6 for about four iterations; after eight iterations, only the runs' statistics agreed. Two runs are within
-tolerance if they pass two tests:
+agreed to 1e-6 for about four iterations. After eight iterations, only statistics such as the mean return agreed. Two
+runs are within tolerance if they pass two tests:
 
 - Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
   so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, the scalars of
@@ -13,9 +13,9 @@ tolerance if they pass two tests:
   differed by 0.001 times the range of the return.
 
 Averages skip iterations without a return or episode length, for example before the first episode ends. If only one of
-two runs has a final return or episode length, the two runs are not within tolerance. Runs with at least 50 iterations
-are never within tolerance if both lack return and episode length. Runs with fewer than 50 iterations are tested only in
-the first iteration whose scalars differ.
+two runs has a final return or episode length, the two runs are not within tolerance. Two runs with at least 50
+iterations are not within tolerance if neither has a final return or episode length. Two runs with fewer than 50
+iterations need to agree only in the first iteration whose scalars differ.
 
 Without a known cause of unequal numbers, such as another CPU, two runs must be equal bit for bit.
 """
@@ -33,18 +33,18 @@ from wheelleg_exp.run.iteration_log import Line
 START, END, SPREADS = 1e-3, 0.1, 2.0
 FIGURES = ("Train/mean_reward", "Train/mean_episode_length")
 _SHORTEST = 50  # Compare the final returns of two runs only if both runs have at least 50 iterations.
-_TINY = 1e-9  # The smallest divisor of a relative deviation, because smaller scalars are rounding errors.
+_TINY = 1e-9  # Divide a deviation by at least 1e-9, because smaller scalars are rounding errors.
 
 
 @dataclass(frozen=True)
 class Excess:
-    """The values of one number in two runs, their deviation, and the largest allowed deviation."""
+    """One number's values in two runs, the deviation between the values, and the largest allowed deviation."""
 
     name: str
-    iteration: int | None  # training iteration of the values ``a`` and ``b``; None if both are means over iterations
+    iteration: int | None  # ``iteration`` is the iteration of both values; None if both are means over iterations.
     a: float
     b: float
-    off: float  # relative deviation of two scalars, or absolute deviation of two means over iterations
+    off: float  # ``off`` is relative for two scalars, and absolute for two means over iterations.
     allowed: float
 
     @property
@@ -60,21 +60,21 @@ class Excess:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The measured deviations between two runs."""
+    """The measured deviations between the numbers of two runs, with the largest allowed deviations."""
 
     start: list[Excess]  # The largest deviations between two runs in the first iteration in which the runs differ.
     end: list[Excess]  # The deviations between two runs' final returns and between their final episode lengths.
-    note: str = ""  # numbers that could not be compared, and the reason
-    needs_end: bool = False  # True if the runs must agree at the end of the training too, not only at the start
+    note: str = ""  # ``note`` names numbers that were not compared, and the reason.
+    needs_end: bool = False  # True if the two runs must also agree at the end of the training.
 
     @property
     def unknown(self) -> bool:
-        """True if the two runs agree at the start, but have no final return and no episode length to compare."""
+        """True if the two runs agree at the start, but neither has a final return or a final episode length."""
         return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """True if all deviations between the two runs are allowed, and none is unknown."""
+        """True if all deviations between the two runs could be measured and are allowed."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
@@ -137,7 +137,7 @@ def _start(a: Line, b: Line) -> Excess:
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
-    """Compare a scalar's means over the last tenth of two runs' iterations; return None if both lack the scalar."""
+    """Compare a scalar's mean over the last tenth of the iterations of two runs; None if neither has the scalar."""
     ones, others = ([_number(line.scalars.get(name)) for line in lines] for lines in (a, b))
     last = max(len(a) // 10, 2)
     one, other = _finite(ones[-last:]), _finite(others[-last:])
