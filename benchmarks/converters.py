@@ -4,13 +4,13 @@
                                     [--markdown | --json] [--work DIR]
 
 A corpus is a folder with ``assets``, ``expected/NAME.json`` and a ``check.py`` that compares an MJCF with an
-expectation. The environment variable ``WHEELLEG_USD_CORPUS`` can also name the corpus. Each converter gets a separate
+expectation. The environment variable ``WHEELLEG_USD_CORPUS`` can replace ``--corpus``. Each converter gets a separate
 Python environment with pinned versions, and converts every asset in a separate process. An MJCF then
 
-    loads     when MuJoCo builds a model from the MJCF
-    coarsely  agrees when bodies, degrees of freedom, total mass and number of colliders are right
-    unnamed   agrees when everything is right except the names of bodies, joints and actuators
-    agrees    when everything is right, names included
+    loads     if MuJoCo compiles a model from the MJCF
+    coarsely  agrees if bodies, degrees of freedom, total mass, and number of colliders are correct
+    unnamed   agrees if everything is correct except the names of bodies, joints, and actuators
+    agrees    if everything is correct, including the names
 """
 
 from __future__ import annotations
@@ -173,11 +173,11 @@ def markdown(table: Table) -> str:
 def document(outcomes: list[Outcome]) -> str:
     """Return all tables and the compared versions in Markdown."""
     count = len({o.asset for o in outcomes})
-    lines = [f"{count} assets; Python {platform.python_version()}, {platform.machine()}.", ""]
+    lines = [f"{count} USD files were converted with Python {platform.python_version()} on {platform.machine()}:", ""]
     lines += [f"- `{tool}`: {TOOLS[tool].version}" for tool in _tools(outcomes)]
     lines += ["", markdown(summary(outcomes)), ""]
-    lines += [f"By style ({' / '.join(COLUMNS)}):", "", markdown(by_style(outcomes)), ""]
-    return "\n".join([*lines, "By asset, the best that holds:", "", markdown(by_asset(outcomes))])
+    lines += [f"Number of MJCF files by style ({' / '.join(COLUMNS)}):", "", markdown(by_style(outcomes)), ""]
+    return "\n".join([*lines, "The strictest criterion that each MJCF file meets:", "", markdown(by_asset(outcomes))])
 
 
 def text(outcomes: list[Outcome]) -> str:
