@@ -29,7 +29,7 @@ def ending_as(kind: type[WheellegError], key: str | None = None) -> Iterator[Non
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Return whether an exception means that the user stopped the program; user-defined code can imitate Ctrl-C."""
+    """Return whether the user stopped the program. A KeyboardInterrupt of user-defined code does not count."""
     asked = isinstance(error, Interrupted) or signal.getsignal(signal.SIGINT) is signal.default_int_handler
     return isinstance(error, KeyboardInterrupt) and asked
 

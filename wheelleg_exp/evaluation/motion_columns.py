@@ -121,7 +121,7 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 
 
 def drift(made: Trajectories, settle_s: float) -> Columns:
-    """Return the drift of each robot from its pose at the end of the settling time; (N,) each.
+    """Return how far each of N robots drifts from its pose at the end of the settling time.
 
     ``drift_max_m`` is a robot's largest horizontal distance from its position at the time ``settle_s``.
     ``yaw_drift_rad`` is a robot's largest angle from its yaw at the time ``settle_s``. ``drift_speed_m_s`` and

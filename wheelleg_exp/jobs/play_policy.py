@@ -56,7 +56,7 @@ class RunPolicy:
 
     run: RunDirectory
     checkpoint: Path
-    tree: Tree  # the run's config sections ``env`` and ``agent``, and the settings of ``configs/play.yaml``
+    tree: Tree  # contains the run's ``env`` and ``agent`` configs, and the settings of ``configs/play.yaml``
     adapter: RslRlVecEnv
     policy: Any  # returns the mean action
     about: dict[str, str]  # the file name and the sha256 of the policy's checkpoint

@@ -67,7 +67,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
 
 
 def _frame(anatomy: Anatomy, lean: float) -> Quaternion | None:
-    """Return the rotation from the robot file's root frame to a frame with x forwards, z upwards, and pitch ``lean``.
+    """Return the rotation from the robot file's root frame to a frame with x forwards and z up, pitched by ``lean``.
 
     If forward, left, and up are within 15 degrees of the robot file's coordinate axes, these axes are used instead.
     """

@@ -123,7 +123,7 @@ class BodyImages:
         parents = [number.get(int(model.body_parentid[body])) for body in ids]
         for body in sorted(range(len(ids)), key=lambda i: ids[i]):
             if self._images[body] is None:
-                # Choose, among the children of the parent's mirror image, the body nearest to the mirrored position.
+                # A body's mirror image is that child of the parent's image that is nearest to the mirrored position.
                 above = None if (parent := parents[body]) is None else self._images[parent]
                 others = [i for i, other in enumerate(parents) if above is not None and other == above]
                 apart = np.linalg.norm(self._places[others] - MIRROR @ self._places[body], axis=1)

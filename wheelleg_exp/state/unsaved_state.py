@@ -1,9 +1,9 @@
 """Raise ConfigError if manager terms hold state that checkpoints cannot restore.
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
-and classes, and values that the term writes to the scene, the managers, or the config. ``Outside`` does not detect
-changes of global variables and closure variables. The class ``Memory`` finds tensors that share memory. A checkpoint
-saves each attribute separately, so memory that two tensors share would become separate after a resume.
+and classes, and values that the term writes to the scene, the managers, or the config. Changes of global variables and
+closure variables are not detected. The class ``Memory`` finds tensors that share memory. A checkpoint saves each
+attribute separately, so memory that two tensors share would become separate after a resume.
 """
 
 from __future__ import annotations

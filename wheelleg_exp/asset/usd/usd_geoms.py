@@ -190,7 +190,7 @@ def read_filters(
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    # Shapes without collision rules get collision bit 0; shapes with equal rules share one further bit.
+    # In MuJoCo's contype, bit 0 is for unfiltered shapes; shapes with equal USD collision filters share a bit.
     self_collision = quiet is not None
     apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}

@@ -100,7 +100,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
         term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
-            # Each command component has its own entity, so that one plot can show commanded and measured velocities.
+            # Use one Rerun entity per component, so that one plot shows a commanded velocity with the measured one.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
