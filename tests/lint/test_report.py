@@ -111,7 +111,7 @@ def test_silenced_findings_are_counted_and_shown_with_all(capsys):
     assert main(["check", "--physics", "--all"]) == 0
     told = capsys.readouterr().out
     assert "spawn_height  env.robot.init_state.pos\n" in told
-    assert "    silenced  a drop of 15 mm, so that the first thing to learn is landing\n" in told
+    assert "    silenced  the robot drops by 15 mm, so that the policy first learns to land\n" in told
     assert told.endswith("0 findings, 23 silenced\n")
 
 
