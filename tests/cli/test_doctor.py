@@ -75,7 +75,9 @@ def test_wrong_input_ends_with_2(file, words, said, capsys):
 def test_the_stock_task_has_nothing_to_mend_but_what_it_silences(capsys):
     assert main(["doctor", "task=stand", "--all"]) == 0
     told = capsys.readouterr().out
-    assert [words for words in ("0 findings, 5 silenced", "silenced  the robot drops by 15 mm") if words not in told] == []
+    assert [
+        words for words in ("0 findings, 5 silenced", "silenced  the robot drops by 15 mm") if words not in told
+    ] == []
     assert main(["doctor", "task=stand", "env.robot.init_state.rot=[0.995,0,0.0998,0]", "--json"]) == 1
     assert "balance_pose" in [finding["rule"] for finding in json.loads(capsys.readouterr().out)["findings"]]
 
