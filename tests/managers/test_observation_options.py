@@ -134,7 +134,7 @@ def test_histories_can_be_ordered_step_by_step(make_env):
         "q": [0, 1, 2, 3, 10, 11, 12, 13],
     }
     assert manager.term_parts("policy")["q"] == [slice(1, 5), slice(6, 10)]
-    with pytest.raises(ValueError, match="history_order is time"):
+    with pytest.raises(ValueError, match="history_order 'time'"):
         manager.term_slices("policy")
     manager.reset(torch.tensor([1]))
     assert _series(env, "x", 9.0)[1].tolist() == [9, 10, 11, 12, 13] * 2
