@@ -62,6 +62,9 @@ class ActionManager(ManagerBase):
     """Splits the action vector into one slice for each action term, in the order of the config.
 
     The field ``delay`` of an action term delays the term's processed actions by a number of physics steps.
+
+    Attributes:
+        delays: the buffers of delayed action terms, by the name of the term.
     """
 
     kind = "actions"
@@ -90,7 +93,7 @@ class ActionManager(ManagerBase):
         self.action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
         self.prev_action = torch.zeros_like(self.action)
         made = {n: made_delay(self._terms[n], f.processed_actions, env) for n, f in self._action_terms.items()}
-        self._delays = {name: delay for name, delay in made.items() if delay is not None}
+        self.delays = {name: delay for name, delay in made.items() if delay is not None}
         self._is_new = True
 
     @property
@@ -128,13 +131,13 @@ class ActionManager(ManagerBase):
     def apply_action(self) -> None:
         """Set the joint targets of every action term before a physics step."""
         for name, term in self._action_terms.items():
-            if not (self._is_new or name in self._delays or not term.applies_once):
+            if not (self._is_new or name in self.delays or not term.applies_once):
                 continue
             with self._terms[name].blamed():
                 present = None
-                if name in self._delays:
+                if name in self.delays:
                     present = term.processed_actions.clone()
-                    term.processed_actions.copy_(self._delays[name].push(present))
+                    term.processed_actions.copy_(self.delays[name].push(present))
                 term.apply_actions()
                 if present is not None:
                     term.processed_actions.copy_(present)
@@ -145,17 +148,17 @@ class ActionManager(ManagerBase):
         self.action.index_fill_(0, env_ids, 0.0)
         self.prev_action.index_fill_(0, env_ids, 0.0)
         self._reset_terms(env_ids)
-        for delay in self._delays.values():
+        for delay in self.delays.values():
             delay.reset(env_ids)
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        delays = {name: delay.state_dict() for name, delay in self._delays.items()}
+        delays = {name: delay.state_dict() for name, delay in self.delays.items()}
         return {**super().state_dict(), **({"delays": delays} if delays else {})}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
-        for name, delay in self._delays.items():
+        for name, delay in self.delays.items():
             delay.load_state_dict(saved["delays"][name])
 
     def __str__(self) -> str:

@@ -120,10 +120,11 @@ class RowHistoryPart:
 
 
 def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
-    """Return the buffer that delays a term's samples (N, ...); None if the term's field ``delay`` is missing or 0."""
+    """Return the buffer that delays a term's samples (N, ...); None without ``delay`` and ``delay_jitter``."""
     low, high = term.fields.get("delay") or (0, 0)
-    if high == 0:
+    jitter = term.fields.get("delay_jitter") or 0
+    if high + jitter == 0:
         return None
-    key = f"{term.path}.delay"
-    require_memory(4 * sample.numel() * (high + 1), key, f"{high + 1} samples of {env.num_envs} environments")
-    return DelayBuffer(sample, (low, high), env.streams.get(key))
+    key, count = f"{term.path}.delay", high + jitter + 1
+    require_memory(4 * sample.numel() * count, key, f"{count} samples of {env.num_envs} environments")
+    return DelayBuffer(sample, (low, high), env.streams.get(key), jitter)

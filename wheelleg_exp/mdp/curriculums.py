@@ -27,6 +27,19 @@ def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight
     return float(term.fields["weight"])
 
 
+def action_delay_levels(env: Env, env_ids: torch.Tensor, num_steps: Count, first_step: Natural = 0) -> float:
+    """Increase the delays of all actions from their shortest delay to their full range. Not in Isaac Lab.
+
+    The share of the range grows from 0 at the control step ``first_step`` to 1 after ``num_steps`` more control steps,
+    and is returned. A robot that cannot stand yet learns slowly if its actions are late.
+    """
+    del env_ids
+    share = min(max((env.common_step_counter - first_step) / num_steps, 0.0), 1.0)
+    for delay in env.action_manager.delays.values():
+        delay.share = share
+    return share
+
+
 _NO_CHANGE = object()
 _SECTIONS = ("commands", "actions", "observations", "events", "rewards", "terminations")
 _MANAGERS = {section: f"{section.removesuffix('s')}_manager" for section in _SECTIONS}

@@ -17,22 +17,33 @@ class DelayBuffer:
 
     The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab, ``push`` returns
     the first sample after a reset until ``lag`` later samples have been stored. Each reset draws an environment's lag
-    uniformly from the range ``lags``; before the first reset, the lag is 0. All samples must have the shape and device
-    of ``sample``, for example (N, 3) for N environments.
+    uniformly from the range ``lags``; before the first reset, the lag is 0. With ``jitter``, each call of ``push`` adds
+    a random number of 0 to ``jitter`` calls to the lag, but never returns an older sample than the call before. All
+    samples must have the shape and device of ``sample``, for example (N, 3) for N environments.
+
+    Attributes:
+        lag: the lag of each environment, in calls of ``push``, (N,).
+        share: share of the range ``lags`` and of ``jitter`` that is used; a curriculum can increase it from 0 to 1.
     """
 
-    def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
-        self._range, self._generator = lags, generator
-        self._samples = torch.zeros(len(sample), lags[1] + 1, *sample.shape[1:], device=sample.device)
+    def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator, jitter: int = 0) -> None:
+        self._range, self._generator, self._jitter, self.share = lags, generator, jitter, 1.0
+        self._samples = torch.zeros(len(sample), lags[1] + jitter + 1, *sample.shape[1:], device=sample.device)
         self._rows = torch.arange(len(sample), device=sample.device)
         self._is_first = torch.ones(len(sample), dtype=torch.bool, device=sample.device)
         self.lag = torch.zeros(len(sample), dtype=torch.long, device=sample.device)
+        self._last_lag = torch.zeros_like(self.lag)  # the lag of the sample that ``push`` last returned
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
         """Store a sample (N, ...), and return the sample that was stored ``lag`` calls earlier."""
         # Do not change ``_samples`` in place, because torch forbids this for tensors created in inference mode.
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
+        lag = self.lag
+        if jitter := round(self.share * self._jitter):
+            extra = torch.randint(0, jitter + 1, lag.shape, generator=self._generator, device=lag.device)
+            lag = torch.minimum(lag + extra, self._last_lag + 1)
+        self._last_lag.copy_(lag)
         return self._read(self._samples)
 
     def peek(self, sample: torch.Tensor) -> torch.Tensor:
@@ -41,20 +52,23 @@ class DelayBuffer:
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Drop the stored samples of the environments ``env_ids``, and draw new lags for them."""
-        low, high = self._range
+        low, high = self._range[0], self._range[0] + round(self.share * (self._range[1] - self._range[0]))
         size, device = (len(env_ids),), self.lag.device
         self.lag[env_ids] = torch.randint(low, high + 1, size, generator=self._generator, device=device)
+        self._last_lag[env_ids] = self.lag[env_ids]
         fill_rows(self._is_first, env_ids, True)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the stored samples and the lags of all environments."""
-        return {"samples": self._samples.clone(), "is_first": self._is_first.clone(), "lag": self.lag.clone()}
+        state = {"samples": self._samples, "is_first": self._is_first, "lag": self.lag, "last_lag": self._last_lag}
+        return {name: value.clone() for name, value in state.items()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         self._samples = saved["samples"].clone()
         self._is_first.copy_(saved["is_first"])
         self.lag.copy_(saved["lag"])
+        self._last_lag.copy_(saved.get("last_lag", saved["lag"]))  # Older checkpoints have no jitter.
 
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
         newest = sample.unsqueeze(1)
@@ -62,7 +76,7 @@ class DelayBuffer:
         return torch.where(self._is_first.view(-1, *[1] * (later.ndim - 1)), newest, later)
 
     def _read(self, samples: torch.Tensor) -> torch.Tensor:
-        return samples[self._rows, self.lag]
+        return samples[self._rows, self._last_lag]
 
 
 class TargetDelay(Stateful):

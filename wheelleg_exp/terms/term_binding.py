@@ -65,8 +65,10 @@ _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # No term can
 # For each config section, ``RESERVED`` lists keys that the manager reads and does not pass to the term's function.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
-    "actions": ("delay",),
-    "observations": ("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim", "delay"),
+    "actions": ("delay", "delay_jitter"),
+    "observations": (
+        *("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim", "delay", "delay_jitter"),
+    ),
     "events": ("mode", "interval_range_s", "is_global_time", "min_step_count_between_reset"),
     "rewards": ("weight",),
     "terminations": ("time_out",),
@@ -92,6 +94,7 @@ FIELD_TYPES: dict[str, Any] = {
     "clip": Bounds | None,
     "scale": float | Annotated[Sequence[float], NotEmpty()] | None,
     "delay": Annotated[Sequence[Natural], Ordered()] | None,
+    "delay_jitter": Natural,
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # A user-defined event mode must not be similar to ``EVENT_MODES``: ``resett`` counts as a misspelling.
