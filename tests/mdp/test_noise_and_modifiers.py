@@ -158,3 +158,64 @@ def test_the_coefficients_of_a_filter_are_config_and_not_state():
         f.start(torch.ones(1, 1))
     second.load_state_dict(first.state_dict())
     assert second(torch.ones(1, 1)).item() == 2.0
+
+
+def errors(steps=1, seed=0, value=0.0, shape=(4000, 2), **parameters):
+    """Return the readings of a sensor that measures a constant, (steps, ...)."""
+    model, generator = noise.SensorErrors(**parameters), gen(seed)
+    return torch.stack([model(torch.full(shape, value), generator) for _ in range(steps)])
+
+
+def test_a_sensors_noise_and_drift_have_their_deviations():
+    assert float(errors(std=0.3).std()) == pytest.approx(0.3, rel=0.03)
+    walk = errors(steps=25, drift=0.1)
+    assert float(walk[24].std()) == pytest.approx(0.1 * 25**0.5, rel=0.03)
+    assert float((walk[24] - walk[23]).std()) == pytest.approx(0.1, rel=0.03)
+
+
+def test_a_sensors_readings_are_multiples_of_its_resolution():
+    readings = errors(std=0.3, resolution=0.25) / 0.25
+    assert torch.equal(readings, readings.round())
+    assert len(readings.unique()) > 5
+
+
+def test_a_lost_reading_repeats_the_last_one_for_all_components_of_a_robot():
+    readings = errors(steps=200, std=1.0, lost=0.25, shape=(100, 3))
+    repeats = readings[1:] == readings[:-1]
+    assert torch.equal(repeats.all(dim=2), repeats.any(dim=2))
+    assert float(repeats.float().mean()) == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_lagging_sensor_approaches_a_step_like_a_first_order_filter():
+    model, generator = noise.SensorErrors(lag=4.0), gen()
+    model(torch.zeros(1000, 1), generator)
+    once = model(torch.ones(1000, 1), generator)
+    constant = 1.0 / once - 1.0  # once = 1 / (1 + T)
+    assert 0.0 <= float(constant.min()) < 0.1
+    assert 3.9 < float(constant.max()) <= 4.0
+    twice = model(torch.ones(1000, 1), generator)
+    torch.testing.assert_close(twice, once + (1.0 - once) / (1.0 + constant))
+
+
+def test_a_reset_starts_a_new_walk_and_filter_in_its_environments_only():
+    model, generator = noise.SensorErrors(drift=1.0, lag=5.0), gen()
+    for _ in range(3):
+        before = model(torch.zeros(4, 1), generator)
+    model.reset(torch.tensor([1, 3]), generator)
+    after = model(torch.full((4, 1), 100.0), generator)
+    assert (after[[0, 2]] - before[[0, 2]] < 99.0).all()  # The filter still follows the step.
+    assert (after[[1, 3]] - 100.0).abs().max() < 5.0  # One step of the walk, without a lag.
+
+
+def test_a_sensor_continues_from_its_saved_state():
+    settings = {"std": 0.1, "drift": 0.1, "lag": 3.0, "lost": 0.3}
+    model, generator = noise.SensorErrors(**settings), gen()
+    for step in range(5):
+        model(torch.full((8, 2), float(step)), generator)
+    other, stream = noise.SensorErrors(**settings), gen(9)
+    other(torch.zeros(8, 2), stream)
+    other.load_state_dict(model.state_dict())
+    stream.set_state(generator.get_state())
+    for step in range(5, 9):
+        value = torch.full((8, 2), float(step))
+        assert torch.equal(model(value, generator), other(value, stream))

@@ -1,4 +1,4 @@
-"""Noise on observations: constant, uniform and Gaussian noise, and a bias that is drawn at each reset."""
+"""Noise on observations: constant, uniform and Gaussian noise, a bias drawn at each reset, and a sensor's errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.constraints import Broken, NonNegative, relation
+from wheelleg_exp.constraints import Broken, NonNegative, Share, relation
+from wheelleg_exp.state import Stateful
 
 Operation = Literal["add", "scale", "abs"]
 
@@ -108,3 +109,56 @@ class NoiseModelWithAdditiveBias:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the observation bias of each environment from a checkpoint."""
         self._bias = None if saved["bias"] is None else saved["bias"].clone()
+
+
+class SensorErrors(Stateful):
+    """The errors of a real sensor, in this order: lag, drift, noise, resolution, lost readings. Not in Isaac Lab.
+
+    Args:
+        std: standard deviation of Gaussian noise, drawn for each component in each control step.
+        drift: standard deviation of each step of a random walk, which starts at 0 in each episode and is added to the
+            reading.
+        lag: largest time constant of a first-order low-pass filter, control steps. Each episode draws its time constant
+            T uniformly from [0, ``lag``]; in each step, the reading y approaches the true value x: y += (x - y) / (1 +
+            T).
+        resolution: distance between two possible readings; 0 means unlimited.
+        lost: probability that a reading is lost in a control step; the last reading is then repeated.
+    """
+
+    def __init__(
+        self,
+        std: NonNegative = 0.0,
+        drift: NonNegative = 0.0,
+        lag: NonNegative = 0.0,
+        resolution: NonNegative = 0.0,
+        lost: Share = 0.0,
+    ) -> None:
+        self._std, self._drift, self._lag, self._resolution, self._lost = std, drift, lag, resolution, lost
+        self._smooth: torch.Tensor | None = None
+
+    def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        if self._smooth is None:
+            self._smooth, self._walk, self._last = value.clone(), torch.zeros_like(value), value.clone()
+            self._is_first = torch.ones(len(value), *[1] * (value.ndim - 1), dtype=torch.bool, device=value.device)
+            self._time_constant = self._lag * torch.rand(self._is_first.shape, generator=generator, device=value.device)
+        smooth = self._smooth + (value - self._smooth) / (1.0 + self._time_constant)
+        self._smooth = torch.where(self._is_first, value, smooth)
+        normal = torch.randn((2, *value.shape), generator=generator, device=value.device)
+        self._walk = self._walk + self._drift * normal[0]
+        reading = self._smooth + self._walk + self._std * normal[1]
+        if self._resolution:
+            reading = (reading / self._resolution).round() * self._resolution
+        u = torch.rand(self._is_first.shape, generator=generator, device=value.device)
+        self._last = torch.where((u < self._lost) & ~self._is_first, self._last, reading)
+        self._is_first = torch.zeros_like(self._is_first)
+        return self._last
+
+    def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
+        """Start episodes in the environments ``env_ids``: reset the walk and the filter, and draw the filter's lag."""
+        if self._smooth is None:
+            return
+        rows = (len(env_ids), *self._is_first.shape[1:])
+        drawn = self._lag * torch.rand(rows, generator=generator, device=env_ids.device)
+        self._time_constant = self._time_constant.index_copy(0, env_ids, drawn)
+        self._is_first = self._is_first.index_fill(0, env_ids, True)
+        self._walk = self._walk.index_fill(0, env_ids, 0.0)
