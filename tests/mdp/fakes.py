@@ -27,6 +27,8 @@ def fake_env(**fields: Any) -> Any:
     """
     data = {k[5:]: v for k, v in fields.items() if k.startswith("data_")}
     data.setdefault("joint_pos_measured", data.get("joint_pos"))
+    data.setdefault("root_ang_vel_measured", data.get("root_ang_vel_b"))
+    data.setdefault("projected_gravity_measured", data.get("projected_gravity_b"))
     robot = SimpleNamespace(data=SimpleNamespace(**data))
     norm = fields.pop("contact_norm", None)
     landed = fields.pop("first_contact", None)

@@ -35,8 +35,8 @@ def base_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 
 
 def base_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Angular velocity of the root link in the axes of the root link, rad/s."""
-    return env.scene[asset_cfg.name].data.root_ang_vel_b
+    """Angular velocity of the root link in the axes of the root link, rad/s, as the robot's IMU measures it."""
+    return env.scene[asset_cfg.name].data.root_ang_vel_measured
 
 
 def root_link_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -45,13 +45,13 @@ def root_link_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Ten
 
 
 def projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Return the unit vector of gravity in the axes of the root link, which is (0, 0, -1) for an upright robot."""
-    return env.scene[asset_cfg.name].data.projected_gravity_b
+    """Unit vector of gravity in the axes of the root link, as the robot's IMU measures it; upright: (0, 0, -1)."""
+    return env.scene[asset_cfg.name].data.projected_gravity_measured
 
 
 def base_roll_pitch(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Roll and pitch of the root link, rad, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    return torch.stack(roll_pitch(env.scene[asset_cfg.name].data), dim=1)
+    """Roll and pitch of the root link, rad, as the robot's IMU measures them, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    return torch.stack(roll_pitch(projected_gravity(env, asset_cfg)), dim=1)
 
 
 def root_pos_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -185,7 +185,7 @@ def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: S
     The command ``command_name`` must consist of the base's height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
-    roll, pitch = roll_pitch(env.scene[asset_cfg.name].data)
+    roll, pitch = roll_pitch(env.scene[asset_cfg.name].data.projected_gravity_b)
     error = (command[:, 1] - roll).square() + (command[:, 2] - pitch).square()
     return torch.exp(-error / std**2)
 

@@ -15,9 +15,12 @@ def height_over_ground(env: Env, positions: torch.Tensor) -> torch.Tensor:
     return height
 
 
-def roll_pitch(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return roll and pitch of the root link, rad, (N,) each; the rotation is R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    x, y, z = data.projected_gravity_b.unbind(dim=1)
+def roll_pitch(projected_gravity: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return roll and pitch, rad, (N,) each, of links with the given unit vectors of gravity in link axes, (N, 3).
+
+    The rotation of a link is R = Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    x, y, z = projected_gravity.unbind(dim=1)
     return torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
 
 

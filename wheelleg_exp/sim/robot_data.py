@@ -19,7 +19,7 @@ from wheelleg_exp.state import Kept
 # ``_SETTINGS`` lists the robot parameters that events can change.
 _SETTINGS = (
     *("default_joint_pos", "default_joint_vel", "joint_pos_limits", "soft_joint_pos_limits", "soft_joint_vel_limits"),
-    *("joint_effort_limits", "encoder_bias", "com_b"),
+    *("joint_effort_limits", "encoder_bias", "com_b", "imu_tilt", "gyro_bias", "gravity_dir_w"),
 )
 
 
@@ -33,6 +33,10 @@ class RobotData(Kept):
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
         has_encoder_bias: whether some term sets an encoder bias.
+        imu_tilt: rotation matrix from the axes of the root link to those of its IMU, (N, 3, 3).
+        gyro_bias: reading of the IMU's gyroscope at rest, rad/s, (N, 3).
+        gravity_dir_w: unit vector of gravity in world axes, (N, 3); tilted if an event tilts the ground.
+        has_imu_errors: whether some term sets ``imu_tilt``, ``gyro_bias``, or ``gravity_dir_w``.
     """
 
     def __init__(
@@ -73,6 +77,10 @@ class RobotData(Kept):
         self.has_encoder_bias = False
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
         self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
+        self.imu_tilt = torch.eye(3, device=device).expand(n, 3, 3).clone()
+        self.gyro_bias = torch.zeros(n, 3, device=device)
+        self.gravity_dir_w = self._gravity_dir.expand(n, 3).clone()
+        self.has_imu_errors = False
         self._torque_valid = torch.zeros(n, 1, device=device)
         self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
@@ -227,6 +235,20 @@ class RobotData(Kept):
     def projected_gravity_b(self) -> torch.Tensor:
         """Unit vector of gravity in the axes of the root link, (N, 3); (0, 0, -1) for an upright robot."""
         return rotation.rotate_inverse(self.root_rot_w, self._gravity_dir.unsqueeze(0))
+
+    @cached_until_change
+    def root_ang_vel_measured(self) -> torch.Tensor:
+        """Angular velocity that the root link's IMU measures, in the axes of the IMU, with its bias, rad/s, (N, 3)."""
+        if not self.has_imu_errors:
+            return self.root_ang_vel_b
+        return rotation.rotate(self.imu_tilt, self.root_ang_vel_b) + self.gyro_bias
+
+    @cached_until_change
+    def projected_gravity_measured(self) -> torch.Tensor:
+        """Unit vector of gravity in the axes of the root link's IMU, (N, 3)."""
+        if not self.has_imu_errors:
+            return self.projected_gravity_b
+        return rotation.rotate(self.imu_tilt, rotation.rotate_inverse(self.root_rot_w, self.gravity_dir_w))
 
     @cached_until_change
     def heading_w(self) -> torch.Tensor:

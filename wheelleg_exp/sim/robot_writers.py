@@ -353,6 +353,20 @@ class RobotWriters(Kept):
         self._has_new_targets = True
         self.data.invalidate()
 
+    def write_imu_errors(self, tilt: torch.Tensor, gyro_bias: torch.Tensor, env_ids: Ids = None) -> None:
+        """Set the errors of the root link's IMU: its mounting (n, 3, 3), and the bias of its gyroscope (n, 3), rad/s.
+
+        ``tilt`` rotates the axes of the root link to those of the IMU.
+        """
+        rows = self._rows(env_ids)
+        self.data.imu_tilt[rows], self.data.gyro_bias[rows] = tilt, gyro_bias
+        self.data.invalidate()
+
+    def write_gravity_direction(self, direction: torch.Tensor, env_ids: Ids = None) -> None:
+        """Set the direction of gravity that the IMU measures, a unit vector (n, 3) in world axes."""
+        self.data.gravity_dir_w[self._rows(env_ids)] = direction
+        self.data.invalidate()
+
     def _write_gain(self, name: str, column: int, values: Values, joint_ids: Ids, env_ids: Ids) -> None:
         ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
         for place, written, named in self._write_drives(name, ids, joints, values):

@@ -248,7 +248,8 @@ class UniformBasePoseCommand(RangedCommand):
     def measured(self) -> torch.Tensor:
         """Return the base's current height above the ground (m), roll (rad), and pitch (rad), shape (N, 3)."""
         data = self.robot.data
-        return torch.stack((height_over_ground(self._env, data.root_pos_w), *roll_pitch(data)), dim=1)
+        tilt = roll_pitch(data.projected_gravity_b)
+        return torch.stack((height_over_ground(self._env, data.root_pos_w), *tilt), dim=1)
 
     def errors(self) -> torch.Tensor:
         """Return the absolute errors of the base's height (m), roll (rad), and pitch (rad), shape (3, N)."""

@@ -230,7 +230,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
     def compute(self, dt: float) -> torch.Tensor:
         (signs,) = self._signs
         rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * signs).mean(dim=1) * self._radius
-        turned = self.robot.data.root_ang_vel_b[:, 2]
+        turned = self.robot.data.root_ang_vel_measured[:, 2]
         missed = torch.stack((rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
         (most,) = self._most
         self.travel_error.add_(missed * dt).clamp_(-most, most)

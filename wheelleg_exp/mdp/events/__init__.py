@@ -21,7 +21,10 @@ from wheelleg_exp.mdp.events.disturbances import (
 from wheelleg_exp.mdp.events.randomization import (
     draw,
     randomize_actuator_gains,
+    randomize_effort_limits,
     randomize_encoder_bias,
+    randomize_floor_slope,
+    randomize_imu_errors,
     randomize_joint_parameters,
     randomize_physics_scene_gravity,
     randomize_rigid_body_com,

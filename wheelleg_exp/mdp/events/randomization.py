@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
@@ -352,6 +353,85 @@ class randomize_encoder_bias(TermBase):
         shape = self._robot.data.encoder_bias[ids][:, joints].shape
         drawn = draw(self._low, self._high, shape, "uniform", self._generator)
         self._robot.write_encoder_bias(drawn, joints, ids)
+
+
+class randomize_imu_errors(TermBase):
+    """Draw how the IMU is mounted on the root link, and the bias of its gyroscope. Not in Isaac Lab.
+
+    The observations ``base_ang_vel``, ``projected_gravity`` and ``base_roll_pitch``, and commands that integrate the
+    yaw rate, use the IMU's readings. Rewards and terminations use the true motion of the root link.
+
+    Args:
+        tilt_range: rotation of the IMU about its axes: ``roll``, ``pitch``, ``yaw``, rad.
+        gyro_bias_range: [low, high], rad/s, drawn for each axis.
+    """
+
+    settings = ("_low", "_high")
+
+    def __init__(
+        self,
+        env: Env,
+        tilt_range: Mapping[Literal["roll", "pitch", "yaw"], Interval],
+        gyro_bias_range: Interval,
+        generator: torch.Generator,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._robot = env.scene[asset_cfg.name]
+        self._low, self._high = bounds(tilt_range, ("roll", "pitch", "yaw"), "tilt_range", env.device)
+        self._bias, self._generator = gyro_bias_range, generator
+        self._robot.data.has_imu_errors = True
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        ids = all_ids(env, env_ids)
+        angles = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        tilt = rotation.quat_to_matrix(rotation.quat_from_euler_xyz(*angles.unbind(dim=1)))
+        bias = draw(self._bias[0], self._bias[1], (len(ids), 3), "uniform", self._generator)
+        self._robot.write_imu_errors(tilt, bias, ids)
+
+
+@relation(ranges(above_0=["effort_limit_distribution_params"]))
+def randomize_effort_limits(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    effort_limit_distribution_params: Pair,
+    operation: Operation,
+    generator: torch.Generator,
+    distribution: Distribution = "uniform",
+    asset_cfg: SceneEntityCfg = _ROBOT,
+) -> None:
+    """Change the largest torque of each joint's actuator, N·m, relative to the config's value. Not in Isaac Lab."""
+    robot, ids = env.scene[asset_cfg.name], all_ids(env, env_ids)
+    default = robot.layout.effort_limits[asset_cfg.joint_ids].expand(len(ids), -1)
+    first, second = effort_limit_distribution_params
+    drawn = draw(first, second, default.shape, distribution, generator)
+    limits = operate(default, drawn, operation).clamp(min=1e-9)
+    robot.write_joint_effort_limit_to_sim(limits, asset_cfg.joint_ids, ids)
+
+
+class randomize_floor_slope(TermBase):
+    """Tilt gravity in the world, which has the same effect as a sloping floor. Not in Isaac Lab.
+
+    Unlike after ``randomize_physics_scene_gravity``, the robot's IMU measures the tilted gravity.
+
+    Args:
+        slope_range: [low, high], angle between the floor and the horizontal, rad; its direction is uniform.
+    """
+
+    def __init__(
+        self, env: Env, slope_range: NonNegativeInterval, generator: torch.Generator, asset_cfg: SceneEntityCfg = _ROBOT
+    ) -> None:
+        self._robot, self._range, self._generator = env.scene[asset_cfg.name], slope_range, generator
+        self._robot.data.has_imu_errors = True
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        ids, sim = all_ids(env, env_ids), env.scene.sim
+        slope = draw(self._range[0], self._range[1], (len(ids),), "uniform", self._generator)
+        turn = draw(-math.pi, math.pi, (len(ids),), "uniform", self._generator)
+        down = torch.stack((slope.sin() * turn.cos(), slope.sin() * turn.sin(), -slope.cos()), dim=1)
+        size = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device).norm()
+        sim.expand("opt.gravity")[ids] = (size * down).to(sim.dtype)
+        sim.set_const()
+        self._robot.write_gravity_direction(down, ids)
 
 
 Vector = Annotated[Sequence[float], Length(3)]
