@@ -33,7 +33,7 @@ MOUNTS = {
     "sensor": "env.scene.sensors",
     "recorder": "env.recorders",
 }
-APART = ("action", "robot", "scene", "sim")
+APART = ("action", "realism", "robot", "scene", "sim")
 # The environment does not build the nodes of these config groups.
 NOT_BUILT = ("agent", "pipeline", "protocol", "recording", "run", "task")
 # These options need a terrain of tiles; the values are their config groups.

@@ -13,6 +13,7 @@ from wheelleg_exp import managers
 from wheelleg_exp.env.env_attributes import EnvAttributes
 from wheelleg_exp.env.graph_capture import GraphCapture, captured_part, host_part
 from wheelleg_exp.env.isaaclab_attributes import Cfg, IsaacLabAttributes
+from wheelleg_exp.env.realism import with_realism
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.async_queries import AsyncMaskQuery
 from wheelleg_exp.managers.non_finite import failures, note_observations, require_finite_observations
@@ -55,6 +56,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     )
 
     def __init__(self, cfg: Mapping[str, Any], mjcf: Path, seed: int) -> None:
+        cfg = with_realism(cfg)
         self.cfg = Cfg(cfg)
         self.seed = seed
         self.num_envs: int = read_value(Env, cfg, "env", "num_envs")

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from wheelleg_exp.constraints import Count, Natural, Positive, rules_of
+from wheelleg_exp.constraints import Count, Natural, Node, NonNegative, NonNegativeInterval, Positive, rules_of
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.config_values import describe, options_in, value_errors
 from wheelleg_exp.terms.key_syntax import below
@@ -36,6 +36,53 @@ class Dataset:
 
 
 @dataclass(frozen=True)
+class SensorRealism:
+    """``env.realism.sensors.<function>``: the errors of all observation terms with this function.
+
+    Attributes:
+        noise: the noise of the terms, which replaces their own noise.
+        delay_s: shortest and longest delay of the readings, s; each reset draws one delay for each environment.
+        jitter_s: largest random addition to the delay, s; drawn in each physics step.
+    """
+
+    noise: Node | None = None
+    delay_s: NonNegativeInterval = (0.0, 0.0)
+    jitter_s: NonNegative = 0.0
+
+
+@dataclass(frozen=True)
+class ActionRealism:
+    """``env.realism.actions``: the delay of all actions.
+
+    Attributes:
+        delay_s: shortest and longest delay of the commands, s; each reset draws one delay for each environment.
+        jitter_s: largest random addition to the delay, s; drawn in each physics step.
+    """
+
+    delay_s: NonNegativeInterval = (0.0, 0.0)
+    jitter_s: NonNegative = 0.0
+
+
+@dataclass(frozen=True)
+class Realism:
+    """``env.realism``: what a real robot adds to the ideal simulation of a task.
+
+    Attributes:
+        name: name of the variant in results.
+        events: the variant's terms in ``env.events``; they run after all other events.
+        groups: the observation groups whose terms get the sensors' errors.
+        sensors: the errors of observation terms, by the name of their function, such as ``joint_vel_rel``.
+        actions: the delay of all actions.
+    """
+
+    name: str = "none"
+    events: list[str] = field(default_factory=list)
+    groups: list[str] = field(default_factory=list)
+    sensors: dict[str, SensorRealism] = field(default_factory=dict)
+    actions: ActionRealism = ActionRealism()
+
+
+@dataclass(frozen=True)
 class Env:
     """``env``: number of environments, episode length, decimation, and the sections of other dataclasses."""
 
@@ -52,6 +99,7 @@ class Env:
     rewards: Section
     terminations: Section
     curriculum: Section
+    realism: Realism = Realism()
     recorders: Section = field(default_factory=dict)
     dataset: Dataset = Dataset()
     is_finite_horizon: bool = False

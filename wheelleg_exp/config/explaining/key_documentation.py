@@ -27,6 +27,7 @@ FIELDS: dict[str, tuple[str, Any]] = {
     "scale": ("factor on the observation, or one for each component", None),
     "history_length": ("control steps stored, 0: only the present; the group's own setting overrides it", 0),
     "delay": ("shortest and longest delay, physics steps, drawn at each reset; null: no delay", None),
+    "delay_jitter": ("largest random addition to the delay, physics steps, drawn at each physics step", 0),
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 
@@ -63,6 +64,7 @@ KEYS: dict[str, str] = {
     "env.curriculum": "changes in the course of the training; terms run in their order",
     "env.recorders": "the data of each episode in the run's dataset; recorders do not change the training",
     "env.is_finite_horizon": "whether a time-out ends the return: no value of the last state is added",
+    "env.realism": "what a real robot adds to the task: errors of sensors, delays, and events",
     "env.dataset": "which of the recorders' episodes are written",
     "pipeline": "tasks one after the other, with gates between them",
     "protocol": "fixed scenarios of `wheelleg evaluate`, and their metrics",

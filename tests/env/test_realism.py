@@ -1,0 +1,103 @@
+"""The errors that ``realism`` adds to a task: in the config, in the readings of the robot, and in its physics."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from mdp.nodes import event
+
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env.realism import with_realism, without_realism
+from wheelleg_exp.sim.delay import DelayBuffer
+
+OBSERVATIONS = "wheelleg_exp.mdp.observations."
+TASKS = ("stand", "walk", "velocity", "terrain")
+
+
+def terms(*names):
+    return {"policy": {"terms": {name: {"_target_": OBSERVATIONS + name} for name in names}}}
+
+
+def readings(env, name):
+    return env.observation_manager.terms("policy")[name].term(env)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_stock_task_gets_the_errors_of_its_sensors_drives_and_body(task):
+    env = compose([f"task={task}", "realism=full"]).config["env"]
+    made = with_realism(env)
+    assert list(made["events"])[-len(env["realism"]["events"]) :] == env["realism"]["events"]
+    for name, node in made["observations"]["policy"]["terms"].items():
+        is_sensor = name in ("base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel_rel")
+        assert (node.get("noise") is not None, node.get("delay")) == (is_sensor, [0, 1] if is_sensor else None)
+    assert all((node["delay"], node["delay_jitter"]) == ([0, 4], 1) for node in made["actions"].values())
+    assert made["observations"]["critic"] == env["observations"]["critic"]
+
+
+@pytest.mark.parametrize("variant", ["sensors", "full"])
+def test_without_its_realism_a_task_is_the_ideal_task(variant):
+    ideal = compose(["task=walk"]).config["env"]
+    assert without_realism(compose(["task=walk", f"realism={variant}"]).config["env"]) == ideal | {"realism": {}}
+
+
+def test_noise_that_the_task_has_switched_off_stays_off():
+    env = compose(["task=stand", "realism=sensors"]).config["env"]
+    last_action = env["observations"]["policy"]["terms"]["last_action"]
+    last_action["noise"] = {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise"}
+    made = with_realism(env)["observations"]["policy"]
+    assert (made["enable_corruption"], made["terms"]["last_action"]["noise"]) == (True, None)
+    env["observations"]["policy"]["enable_corruption"] = True
+    assert with_realism(env)["observations"]["policy"]["terms"]["last_action"]["noise"] == last_action["noise"]
+
+
+def test_a_delay_with_jitter_never_returns_an_older_sample_than_before():
+    buffer = DelayBuffer(torch.zeros(500, 1), (1, 2), torch.Generator().manual_seed(0), jitter=3)
+    buffer.reset(torch.arange(500))
+    shown = torch.stack([buffer.push(torch.full((500, 1), float(step)))[:, 0] for step in range(60)])
+    assert (shown.diff(dim=0) >= 0).all()
+    lag = (torch.arange(60.0).unsqueeze(1) - shown)[10:] - buffer.lag
+    assert (float(lag.min()), float(lag.max())) == (0.0, 3.0)
+    assert torch.equal(buffer.peek(torch.full((500, 1), 60.0)), buffer.peek(torch.full((500, 1), 60.0)))
+
+
+def imu(make_env, pitch, bias, names=("base_ang_vel", "projected_gravity")):
+    tilt = {"roll": [0.0, 0.0], "pitch": [pitch, pitch], "yaw": [0.0, 0.0]}
+    errors = event("randomize_imu_errors", mode="reset", tilt_range=tilt, gyro_bias_range=[bias, bias])
+    env = make_env(observations=terms(*names), events={"imu": errors})
+    env.reset()
+    return env
+
+
+def test_a_tilted_imu_with_a_bias_reads_the_true_motion_in_its_own_axes(make_env):
+    env = imu(make_env, 0.3, 0.01)
+    velocity = torch.tensor([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]).expand(4, 6)
+    env.scene.robot.write_root_velocity_to_sim(velocity)
+    cos, sin = math.cos(0.3), math.sin(0.3)
+    rate = torch.tensor([1.0 * cos + 3.0 * sin, 2.0, -1.0 * sin + 3.0 * cos]) + 0.01
+    torch.testing.assert_close(readings(env, "base_ang_vel"), rate.expand(4, 3))
+    torch.testing.assert_close(readings(env, "projected_gravity"), torch.tensor([-sin, 0.0, -cos]).expand(4, 3))
+    torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([0.0, 0.0, -1.0]).expand(4, 3))
+
+
+def test_a_floor_slope_tilts_gravity_and_the_imu_measures_the_slope(make_env):
+    slope = event("randomize_floor_slope", mode="reset", slope_range=[0.2, 0.2])
+    env = make_env(observations=terms("projected_gravity"), events={"slope": slope})
+    env.reset()
+    gravity = env.scene.sim.expanded["opt.gravity"].float()
+    torch.testing.assert_close(gravity.norm(dim=1), torch.full((4,), 9.81))
+    torch.testing.assert_close(-gravity[:, 2] / 9.81, torch.full((4,), math.cos(0.2)))
+    assert len(gravity[:, 0].unique()) == 4
+    torch.testing.assert_close(readings(env, "projected_gravity"), gravity / 9.81)
+
+
+def test_effort_limits_are_factors_on_the_configs_limits(make_env):
+    limits = event("randomize_effort_limits", effort_limit_distribution_params=[0.5, 0.9], operation="scale")
+    env = make_env(events={"limits": limits})
+    share = env.scene.robot.data.joint_effort_limits / env.scene.robot.layout.effort_limits
+    assert ((share >= 0.5) & (share <= 0.9)).all()
+    assert len(share.unique()) == share.numel()
+    places = [env.scene.model.actuator(name).id for name in env.scene.robot.joint_names]
+    written = env.scene.sim.expanded["actuator_forcerange"][:, places, 1].float()
+    torch.testing.assert_close(written, env.scene.robot.data.joint_effort_limits)
