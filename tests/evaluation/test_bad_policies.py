@@ -12,6 +12,7 @@ import pytest
 from evaluation.conftest import balancer, noise, protocol, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.evaluation import Evaluation, evaluate
+from wheelleg_exp.evaluation.disturbance_tests import PROPERTIES
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 
 PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipeline"]["phases"]
@@ -26,7 +27,8 @@ SMALL = {
     "push": words("push", episodes=1, iterations=2, highest=0.4, directions=2, at_s=1.1, after_s=2.0),
     "robust": (
         *words("robust", episodes=1, horizon_s=2.0, friction="[0.6]"),
-        *words("robust", **dict.fromkeys(("mass", "com", "delay_s", "noise", "gains"), "[]")),
+        *words("robust", **dict.fromkeys((name for name in PROPERTIES if name != "friction"), "[]")),
+        *words("robust", combined="null", margins="null"),
     ),
     "terrain": (
         "protocol.strip=null",

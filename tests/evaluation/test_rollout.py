@@ -12,8 +12,9 @@ import pytest
 import torch
 
 from evaluation.conftest import protocol, stub_env, zeros
-from wheelleg_exp.evaluation.disturbance_tests import DelayedPolicy, worlds
-from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.evaluation.disturbance_tests import margin, world, worlds
+from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios
@@ -132,8 +133,9 @@ def changed(task) -> dict[tuple[str, float], Env]:
     options = read_section(Protocol, protocol("robust", *(f"protocol.robust.{sweep}" for sweep in SWEEPS)), "protocol")
     assert options.robust is not None
     cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
-    found = worlds(cfg, options.robust, base_link(task[1]), 1 / 60)
-    return {(world.sweep, world.value): build(world.cfg, task[1], 1) for world in found if world.sweep != "delay"}
+    wanted = ("nominal", "friction", "mass", "com", "gains", "noise")
+    found = [world for world in worlds(cfg, options.robust) if world.sweep in wanted]
+    return {(world.sweep, world.value): build(world.cfg, task[1], 1) for world in found}
 
 
 def test_each_world_differs_in_the_property_of_its_name(changed):
@@ -158,12 +160,49 @@ def test_each_world_differs_in_the_property_of_its_name(changed):
     assert noisy == {"base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel_rel"} <= set(terms)
 
 
-def test_a_late_policy_gives_what_was_decided_before():
-    count = iter(range(1, 10))
-    policy = DelayedPolicy(lambda observations: torch.full((1, 1), float(next(count))), 2)
-    assert [float(policy({})) for _ in range(5)] == [0.0, 0.0, 1.0, 2.0, 3.0]
-    policy.reset()
-    assert float(policy({})) == 0.0
+def test_a_change_can_delay_actions_and_readings_lose_readings_and_tilt_the_imu(task):
+    options = read_section(Protocol, protocol("robust"), "protocol")
+    assert options.robust is not None
+    cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
+    dt = cfg["sim"]["dt"]
+
+    def of(name, value):
+        return world(cfg, options.robust, name, value).cfg
+
+    assert {tuple(node["delay"]) for node in of("delay_s", 3 * dt)["actions"].values()} == {(3, 3)}
+    late = of("reading_delay_s", dt)["observations"]["policy"]["terms"]
+    assert {name for name, node in late.items() if node.get("delay") == [1, 1]} == set(options.robust.noise_std)
+    assert of("lost_readings", 0.2)["observations"]["policy"]["terms"]["base_ang_vel"]["noise"]["lost"] == 0.2
+    data = build(of("imu_tilt", 0.05), task[1], 1).scene.robot.data
+    assert data.imu_tilt[0, 0, 2].item() == pytest.approx(math.sin(0.05))
+    kicked = world(cfg, options.robust, "kick", 0.3)
+    assert (kicked.kick, kicked.cfg) == (0.3, cfg)
+
+
+def test_combined_changes_act_at_once(task):
+    options = read_section(Protocol, protocol("robust"), "protocol")
+    assert options.robust is not None
+    cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
+    both = next(found for found in worlds(cfg, options.robust) if found.sweep == "combined").cfg
+    assert both["observations"]["policy"]["terms"]["base_ang_vel"]["noise"]["std"] == pytest.approx(0.2)
+    assert {tuple(node["delay"]) for node in both["actions"].values()} == {(4, 4)}
+    assert "evaluation_randomize_imu_errors" in both["events"]
+
+
+@pytest.mark.parametrize(("limit", "expected"), [(0.3, 0.3), (2.0, 1.0), (0.0, 0.0)])
+def test_a_margin_is_the_largest_survived_change(limit, expected):
+    options = read_section(Protocol, protocol("robust"), "protocol").robust
+    assert options is not None
+    found = margin(lambda value: 1.0 if value <= limit else 0.9, 1.0, options)
+    assert expected - 1 / 64 <= found <= expected
+
+
+def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_keeps_it(task):
+    env = compose(["task=stand", "realism=full"]).config["env"]
+    for realism, is_ideal in (("none", True), ("own", False)):
+        options = read_section(Protocol, protocol("stand", f"protocol.realism={realism}"), "protocol")
+        cfg = evaluation_cfg(env, options, 2, 1.0, "flat")
+        assert (cfg["realism"] == {}, "imu_errors" not in cfg["events"]) == (is_ideal, is_ideal)
 
 
 def test_events_within_an_episode_time_outs_rewards_and_curricula_are_gone_and_the_rest_stays(task):

@@ -14,10 +14,13 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout, Tell
 from wheelleg_exp.evaluation.protocol_options import Push, Robust
 from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
+from wheelleg_exp.terms.config_sections import ActionRealism, SensorRealism
 
 
 @dataclass
@@ -46,16 +49,21 @@ class Pushes:
             done = step - self.begin
             if not 0 <= done < self._longest:
                 return
-            data = env.scene.robot.data
-            cos, sin = data.heading_w.cos(), data.heading_w.sin()
-            x, y = (each * (done < self.pulse).unsqueeze(1)).unbind(dim=1)
-            velocity = torch.cat((data.root_lin_vel_w, data.root_ang_vel_w), dim=1)
-            velocity[:, 0] += cos * x - sin * y
-            velocity[:, 1] += sin * x + cos * y
-            env.scene.robot.write_root_velocity_to_sim(velocity)
-            env.scene.refresh()
+            add_velocity(env, each * (done < self.pulse).unsqueeze(1))
 
         return push
+
+
+def add_velocity(env: ManagerBasedRLEnv, change: torch.Tensor) -> None:
+    """Add ``change`` (N, 2), m/s, to the robots' velocities, along the level axes x (forwards) and y (to the left)."""
+    data = env.scene.robot.data
+    cos, sin = data.heading_w.cos(), data.heading_w.sin()
+    x, y = change.unbind(dim=1)
+    velocity = torch.cat((data.root_lin_vel_w, data.root_ang_vel_w), dim=1)
+    velocity[:, 0] += cos * x - sin * y
+    velocity[:, 1] += sin * x + cos * y
+    env.scene.robot.write_root_velocity_to_sim(velocity)
+    env.scene.refresh()
 
 
 def push_columns(
@@ -109,78 +117,112 @@ def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
 
 @dataclass(frozen=True)
 class World:
-    """A variant of the simulation in the robustness test, with its own config section ``env``."""
+    """A variant of the simulation in the robustness test, with its own config section ``env``.
+
+    ``kick`` is the change of the robot's speed in ``KICK_S``, m/s: forwards in even episodes, backwards in odd ones.
+    """
 
     sweep: str
     value: float
     cfg: dict[str, Any] = field(repr=False)
-    delay_steps: int = 0
+    kick: float = 0.0
 
 
-def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
+KICK_S = 2.0  # s; time of the kick from the start of the episode
+# The properties that the robustness test changes, in the order of the results.
+PROPERTIES = (
+    *("friction", "mass", "com", "gains", "noise", "delay_s", "reading_delay_s", "lost_readings"),
+    *("imu_tilt", "gyro_bias", "encoder_offset", "slope", "kick"),
+)
+
+
+def worlds(cfg: Mapping[str, Any], options: Robust) -> Iterator[World]:
     """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
 
-    ``worlds`` adds events that set masses, centres of mass, gains, or friction after the task's own events. ``worlds``
-    gives observation terms Gaussian noise, whose standard deviation is a factor times ``noise_std``. ``base`` is the
-    name of the robot's root link.
+    Each variant changes one property by one value, except ``combined``, which makes several changes at once.
     """
     yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
-    for value in options.friction:
-        friction = {"static_friction_range": [value, value], "dynamic_friction_range": [value, value]}
-        more = {"restitution_range": [0.0, 0.0], "num_buckets": 1}
-        changed = _with_event(cfg, "randomize_rigid_body_material", {"body_names": [".*"]}, **friction, **more)
-        changed["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
-        yield World("friction", value, changed)
-    for value in options.mass:
-        mass = {"mass_distribution_params": [value, value], "operation": "scale"}
-        yield World("mass", value, _with_event(cfg, "randomize_rigid_body_mass", {"body_names": [".*"]}, **mass))
-    for value in options.com:
-        shift = {"x": [value, value], "y": [0.0, 0.0], "z": [0.0, 0.0]}
-        changed = _with_event(cfg, "randomize_rigid_body_com", {"body_names": [base]}, com_range=shift)
-        yield World("com", value, changed)
-    for value in options.gains:
-        gains = {f"{name}_distribution_params": [value, value] for name in ("stiffness", "damping")}
-        changed = _with_event(cfg, "randomize_actuator_gains", {"joint_names": [".*"]}, operation="scale", **gains)
-        yield World("gains", value, changed)
-    for value in options.noise:
-        changed = copy.deepcopy(dict(cfg))
-        for group in changed["observations"].values():
-            corrupts, group["enable_corruption"] = bool(group.get("enable_corruption", False)), True
-            for node in group["terms"].values():
-                name = str(node["_target_"]).rpartition(".")[2]
-                if name in options.noise_std:
-                    std = value * options.noise_std[name]
-                    node["noise"] = {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise", "mean": 0.0, "std": std}
-                elif not corrupts:
-                    node["noise"] = None
-        yield World("noise", value, changed)
-    for value in options.delay_s:
-        yield World("delay", value, copy.deepcopy(dict(cfg)), round(value / step_dt))
+    for name in PROPERTIES:
+        for value in getattr(options, name):
+            yield world(cfg, options, name, value)
+    if options.combined:
+        both = copy.deepcopy(dict(cfg))
+        for name, value in options.combined.items():
+            both = changed(both, options, name, value)
+        yield World("combined", 1.0, both, options.combined.get("kick", 0.0))
 
 
-def _with_event(cfg: Mapping[str, Any], function: str, on: Mapping[str, Any], **parameters: Any) -> dict[str, Any]:
-    changed = copy.deepcopy(dict(cfg))
-    asset = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **on}
-    node = {"_target_": f"wheelleg_exp.mdp.events.{function}", "mode": "startup", "asset_cfg": asset, **parameters}
-    changed["events"] = {**changed["events"], f"evaluation_{function}": node}
-    return changed
+def world(cfg: Mapping[str, Any], options: Robust, name: str, value: float) -> World:
+    """Return the simulation in which the property ``name``, such as ``friction``, has the given value."""
+    cfg = changed(copy.deepcopy(dict(cfg)), options, name, value)
+    return World(name.removesuffix("_s"), value, cfg, value if name == "kick" else 0.0)
 
 
-class DelayedPolicy:
-    """A policy with actions that are delayed by a whole number of control steps. The first actions are zeros."""
+def changed(cfg: dict[str, Any], options: Robust, name: str, value: float) -> dict[str, Any]:
+    """Return the config section ``env`` in which the property ``name`` has the given value; a kick changes nothing."""
+    pair, zero = [value, value], [0.0, 0.0]
+    if name == "friction":
+        cfg["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
+        ranges = {"static_friction_range": pair, "dynamic_friction_range": pair, "restitution_range": zero}
+        return _with_event(cfg, "rigid_body_material", ranges | {"num_buckets": 1})
+    if name == "mass":
+        return _with_event(cfg, "rigid_body_mass", {"mass_distribution_params": pair, "operation": "scale"})
+    if name == "com":
+        shift = {"x": pair, "y": zero, "z": zero}
+        return _with_event(cfg, "rigid_body_com", {"com_range": shift}, body_ids=[0])
+    if name == "gains":
+        gains = {"stiffness_distribution_params": pair, "damping_distribution_params": pair, "operation": "scale"}
+        return _with_event(cfg, "actuator_gains", gains)
+    if name in ("imu_tilt", "gyro_bias"):
+        tilt = {"roll": zero, "pitch": pair if name == "imu_tilt" else zero, "yaw": zero}
+        bias = pair if name == "gyro_bias" else zero
+        return _with_event(cfg, "imu_errors", {"tilt_range": tilt, "gyro_bias_range": bias})
+    if name == "encoder_offset":
+        return _with_event(cfg, "encoder_bias", {"bias_range": [-value, value]})
+    if name == "slope":
+        return _with_event(cfg, "floor_slope", {"slope_range": pair})
+    if name == "delay_s":
+        return with_action_delay(cfg, ActionRealism(delay_s=(value, value)))
+    sizes, sensors = options.noise_std, dict[str, SensorRealism]()
+    if name == "noise":
+        sensors = {function: _noisy("GaussianNoise", std=value * std) for function, std in sizes.items()}
+    if name == "lost_readings":
+        sensors = dict.fromkeys(sizes, _noisy("SensorErrors", lost=value))
+    if name == "reading_delay_s":
+        sensors = dict.fromkeys(sizes, SensorRealism(delay_s=(value, value)))
+    return with_sensor_errors(cfg, sensors, list(cfg["observations"])) if sensors else cfg
 
-    def __init__(self, policy: Policy, steps: int) -> None:
-        self._policy, self._steps = policy, steps
-        self._waiting: list[torch.Tensor] = []
 
-    def reset(self) -> None:
-        """Discard all delayed actions and reset the policy."""
-        self._waiting = []
-        if hasattr(self._policy, "reset"):
-            self._policy.reset()
+def _noisy(model: str, **parameters: float) -> SensorRealism:
+    return SensorRealism(noise={"_target_": f"wheelleg_exp.mdp.noise.{model}", **parameters})
 
-    def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
-        """Return the actions that the policy returned ``steps`` calls ago."""
-        actions = self._policy(observations)
-        self._waiting.append(actions)
-        return self._waiting.pop(0) if len(self._waiting) > self._steps else torch.zeros_like(actions)
+
+def _with_event(cfg: dict[str, Any], what: str, parameters: Mapping[str, Any], **bodies: Any) -> dict[str, Any]:
+    """Add an event that randomises ``what`` once, after all other events; ``bodies`` selects some of the bodies."""
+    asset = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **bodies}
+    target = f"wheelleg_exp.mdp.events.randomize_{what}"
+    node = {"_target_": target, "mode": "startup", "asset_cfg": asset, **parameters}
+    return {**cfg, "events": {**cfg["events"], f"evaluation_randomize_{what}": node}}
+
+
+def margin(survival: Callable[[float], float], highest: float, options: Robust) -> float:
+    """Return the largest change that a policy survives, found by bisection between 0 and ``highest``.
+
+    ``survival`` returns the share of episodes that survive a change. A change counts as survived from
+    ``margin_survival`` on. The result is ``highest`` if the policy survives ``highest``.
+    """
+    if survival(highest) >= options.margin_survival:
+        return highest
+    low, high = 0.0, highest
+    for _ in range(options.margin_iterations):
+        middle = (low + high) / 2
+        low, high = (middle, high) if survival(middle) >= options.margin_survival else (low, middle)
+    return low
+
+
+def kick(rollout: Rollout, speed: float) -> Callable[[int], None]:
+    """Return a callback that changes each robot's speed by ``speed``, m/s, at ``KICK_S``, in turns by ±x."""
+    env, start = rollout.env, round(KICK_S / rollout.env.step_dt)
+    signs = 1.0 - 2.0 * (torch.arange(env.num_envs, device=env.device) % 2)
+    change = torch.stack((speed * signs, torch.zeros_like(signs)), dim=1)
+    return lambda step: add_velocity(env, change) if step == start else None

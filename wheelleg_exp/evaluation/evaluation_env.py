@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.realism import without_realism
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.evaluation.protocol_options import Ground, Protocol
 from wheelleg_exp.managers import Env
@@ -39,7 +39,7 @@ def evaluation_cfg(
     ``evaluation_cfg`` keeps commands, failure terminations, observations with noise, and events at startup and reset.
     ``ground`` selects flat ground or the task's own ground.
     """
-    cfg = copy.deepcopy(dict(env_cfg))
+    cfg = copy.deepcopy(dict(env_cfg if protocol.realism == "own" else without_realism(env_cfg)))
     commands = cfg["commands"]
     if protocol.command not in commands:
         expected = "one of " + (", ".join(commands) or "(there are none)")
@@ -83,12 +83,6 @@ def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
         message = "only robots with a floating base can be evaluated"
         raise ConfigError(message, key="env.robot.base", expected="floating")
     return env
-
-
-def base_link(mjcf: Path) -> str:
-    """Return the name of the root link of the robot in an MJCF file."""
-    roots = mujoco.MjSpec.from_file(str(mjcf)).worldbody.bodies
-    return str(next(body.name for body in roots if body.joints or body.bodies))
 
 
 def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:

@@ -138,7 +138,7 @@ def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array 
 
 
 class Reference:
-    """An LQR balancer that is called like a policy, reads the exact simulation state, and returns the task's actions.
+    """An LQR balancer that is called like a policy, reads the state without noise, and returns the task's actions.
 
     The target of a wheel is ``w + u / b``: the speed w, the optimal acceleration u, and the ``bandwidth`` b of the
     wheels' drive in 1/s. A speed difference between the left and the right wheels turns the robot to the commanded
@@ -190,9 +190,10 @@ class Reference:
         """Return raw actions (N, A). The observations are not used."""
         del observations
         env, data = self._env, self._env.scene.robot.data
-        gravity = data.projected_gravity_b
-        pitch, rate = torch.atan2(gravity @ self._forward, -(gravity @ self._up)), data.root_ang_vel_b @ self._left
-        turned = (data.joint_pos[:, self._wheels] * self._signs).mean(dim=1)
+        gravity = data.projected_gravity_measured
+        pitch = torch.atan2(gravity @ self._forward, -(gravity @ self._up))
+        rate = data.root_ang_vel_measured @ self._left
+        turned = (data.joint_pos_measured[:, self._wheels] * self._signs).mean(dim=1)
         speed = (data.joint_vel[:, self._wheels] * self._signs).mean(dim=1)
         place, velocity = (turned + pitch) * self.pendulum.radius, (speed + rate) * self.pendulum.radius
         yaw = data.heading_w

@@ -397,6 +397,10 @@ def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
                 yield Metric(f"strip/{name}_{where}/{cell}", test, (f"{column}_{where}",), quadratic, unit, rows=rows)
 
 
+_MARGIN_UNITS = {"delay_s": "s", "reading_delay_s": "s", "imu_tilt": "rad", "gyro_bias": "rad/s"}
+_MARGIN_UNITS |= {"encoder_offset": "rad", "slope": "rad", "kick": "m/s", "com": "m"}
+
+
 def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
     test, changed = "robust", partial(differing, column="sweep", value="nominal")
     sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
@@ -408,6 +412,11 @@ def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
         yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
         yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
     yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
+    nominal = partial(matching, sweep="nominal")
+    for column in (name for name in columns if name.startswith("margin_")):
+        name = column.removeprefix("margin_")
+        unit = _MARGIN_UNITS.get(name, "")
+        yield Metric(f"robust/margin/{name.removesuffix('_s')}", test, (column,), mean, unit, "higher", nominal)
 
 
 _WITHOUT_OPTIONS: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {

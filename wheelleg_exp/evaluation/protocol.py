@@ -13,8 +13,8 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
-from wheelleg_exp.evaluation.disturbance_tests import DelayedPolicy, push_columns, worlds
-from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg, target_height
+from wheelleg_exp.evaluation.disturbance_tests import World, kick, margin, push_columns, world, worlds
+from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg, target_height
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
@@ -145,23 +145,35 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     options = subject.protocol.robust
     assert options is not None
     cfg, found, starts = subject.cfg(table), [], []
-    step_dt = float(cfg["sim"]["dt"]) * int(cfg["decimation"])
-    each = list(worlds(cfg, options, base_link(subject.mjcf), step_dt))
-    tell = subject.teller(table.test)
-    for number, world in enumerate(each):
-        rollout = subject.rollout(table, world.cfg)
-        policy = subject.make_policy(rollout.env)
-        made = rollout.roll(DelayedPolicy(policy, world.delay_steps) if world.delay_steps else policy, subject.seed)
+    each, tell, margins = list(worlds(cfg, options)), subject.teller(table.test), options.margins or {}
+    for number, changed in enumerate(each):
+        rollout, made = _rolled(subject, table, changed)
         motion = Motion(made, rollout.parts, subject.protocol.settle_s, subject.target)
         columns = motion_columns.survival(made, []) | measured(motion, POSTURE)
         columns |= motion_columns.errors(made, subject.protocol.settle_s)
-        changed = {"sweep": np.full(table.size, world.sweep), "value": np.full(table.size, world.value)}
-        changed["world"] = np.full(table.size, float(number))
-        found.append(identity(rollout, made) | changed | _numbers(columns))
+        names = {"sweep": np.full(table.size, changed.sweep), "value": np.full(table.size, changed.value)}
+        names["world"] = np.full(table.size, float(number))
+        found.append(identity(rollout, made) | names | _numbers(columns))
         starts.append(rollout.starts)
         if tell is not None:
-            tell(number + 1, len(each))
+            tell(number + 1, len(each) + len(margins))
+    for number, (name, highest) in enumerate(margins.items()):
+
+        def survival(value: float, name: str = name) -> float:
+            _, made = _rolled(subject, table, world(cfg, options, name, value))
+            return 1.0 - float(made.fell.double().mean())
+
+        # The margins are properties of the policy, so each episode of the unchanged simulation has the same value.
+        found[0][f"margin_{name}"] = np.full(table.size, margin(survival, highest, options))
+        if tell is not None:
+            tell(len(each) + number + 1, len(each) + len(margins))
     return Part(table.test, hashlib.sha256("".join(starts).encode()).hexdigest(), joined(found), about(rollout))
+
+
+def _rolled(subject: Subject, table: Scenarios, changed: World) -> tuple[Rollout, Trajectories]:
+    rollout = subject.rollout(table, changed.cfg)
+    disturb = kick(rollout, changed.kick) if changed.kick else None
+    return rollout, rollout.roll(subject.make_policy(rollout.env), subject.seed, disturb=disturb)
 
 
 def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:

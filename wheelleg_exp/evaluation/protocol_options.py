@@ -212,10 +212,21 @@ class Robust:
         friction: coefficients between the robot and the ground.
         mass: factors on the masses of all bodies.
         com: shifts of the base's centre of mass along x, m.
-        delay_s: delays of the actions, s; whole control steps.
+        gains: factors on kp and kd of all actuators.
         noise: factors on ``noise_std``.
         noise_std: standard deviation of the observation noise by the name of the observation's function, in its unit.
-        gains: factors on kp and kd of all actuators.
+        delay_s: delays of the actions, s, rounded to physics steps.
+        reading_delay_s: delays of the observations in ``noise_std``, s, rounded to physics steps.
+        lost_readings: probability that a control step has no new reading of an observation in ``noise_std``.
+        imu_tilt: rotation of the IMU about the base's y axis, rad.
+        gyro_bias: bias of the gyroscope about all axes, rad/s.
+        encoder_offset: each joint's encoder has an offset that is drawn from ± this value, rad.
+        slope: slope of the floor in a random direction, rad.
+        kick: change of the speed forwards, and in every second episode backwards, m/s.
+        combined: several of these changes at once, by name.
+        margins: the changes whose largest survived value is searched, each with the largest value to try.
+        margin_survival: share of episodes that must survive a value.
+        margin_iterations: bisection steps for each margin.
     """
 
     episodes: Count
@@ -224,10 +235,21 @@ class Robust:
     friction: list[Positive]
     mass: list[Positive]
     com: list[float]
-    delay_s: list[NonNegative]
+    gains: list[Positive]
     noise: list[NonNegative]
     noise_std: dict[str, NonNegative]
-    gains: list[Positive]
+    delay_s: list[NonNegative]
+    reading_delay_s: list[NonNegative]
+    lost_readings: list[Share]
+    imu_tilt: list[float]
+    gyro_bias: list[float]
+    encoder_offset: list[NonNegative]
+    slope: list[NonNegative]
+    kick: list[float]
+    combined: dict[str, float] | None
+    margins: dict[str, Positive] | None
+    margin_survival: Share
+    margin_iterations: Count
 
 
 @relation(_something_counts)
@@ -246,6 +268,7 @@ class Protocol:
         saturation: share of the effort limit from which an actuator is saturated.
         target_height: height of the base over the ground, m; null takes the height that the task's rewards name.
         ground: ``flat``: a plane with the task's friction; ``own``: the task's ground.
+        realism: ``none``: without the errors of ``env.realism``; ``own``: with the task's own errors.
         resamples: number of bootstrap resamples behind each interval.
         stand: standing.
         walk: the grid of commands.
@@ -266,6 +289,7 @@ class Protocol:
     saturation: Share
     target_height: Positive | None
     ground: Ground
+    realism: Literal["none", "own"]
     resamples: Count
     stand: Stand | None = None
     walk: Walk | None = None
