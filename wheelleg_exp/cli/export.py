@@ -14,7 +14,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
-    text = "the folder to create; by default exported/bundle of the run"
+    text = "bundle: runs without this program (default); leapp: for ros2_control runtimes, needs the package leapp"
+    parser.add_argument("--format", choices=("bundle", "leapp"), default="bundle", help=text)
+    text = "the folder to create; by default exported/FORMAT of the run"
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=text)
     add_root(parser)
     add_json(parser)
@@ -29,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
 
     from wheelleg_exp.jobs.export.export_bundle import export
 
-    made = export(directory, checkpoint, args.output, args.command)
+    made = export(directory, checkpoint, args.output, args.command, args.format)
     if args.json:
         found = {"run": str(directory.path), "checkpoint": str(made.checkpoint), "folder": str(made.folder)}
         print_json({**found, "largest_difference": made.differences, "lacks": made.notes})
@@ -39,5 +41,6 @@ def run(args: argparse.Namespace) -> int:
     print(f"largest difference of a step from the simulation: {differences}")
     for note in made.notes:
         print(f"it lacks {note}")
-    print(f"next: python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)")
+    python = f"python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)"
+    print(f"next: {python if args.format == 'bundle' else 'give policy.yaml to the ros2_control runtime of the robot'}")
     return EXIT_OK

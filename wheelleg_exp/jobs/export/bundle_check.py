@@ -127,12 +127,17 @@ def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple
     for name, actions in (("onnx", by_onnx), ("torchscript", by_torch)):
         found[name] = runner.largest_difference(clipped(actions), recorded["actions"])
     differences, notes = _compare_header(header, recorded)
-    for name, difference in (found := found | differences).items():
+    return within_tolerances(found | differences), notes
+
+
+def within_tolerances(differences: dict[str, float]) -> dict[str, float]:
+    """Return ``differences`` from recorded values; raise SimulationFailure if one of them exceeds its tolerance."""
+    for name, difference in differences.items():
         tolerance = TOLERANCE if name in _FLOAT64 else TOLERANCE_FLOAT32
         if not difference <= tolerance:
             message = f"the exported policy is not the trained policy: its {name} differ by {difference:.3g}"
             raise SimulationFailure(message, expected=f"at most {tolerance:g}, relative to max(1, |recorded|)")
-    return found, notes
+    return differences
 
 
 def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[dict[str, float], list[str]]:

@@ -13,6 +13,7 @@ import re
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ from wheelleg_exp.jobs.export.bundle_specification import (
     specification,
 )
 from wheelleg_exp.jobs.export.c_header import c_header
+from wheelleg_exp.jobs.export.leapp_bundle import leapp_readings, write_leapp
 from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.machine import require_memory
@@ -125,7 +127,7 @@ def _comma_separated(values: Iterable[Any]) -> str:
     return ",".join("" if value is None else str(value) for value in values)
 
 
-BUNDLE = "bundle"
+BUNDLE, LEAPP = "bundle", "leapp"
 _COPIED_FILES = ("runner.py", "simulate.py")
 _MOST_STEPS = 600
 _SKIPPED_FILES = (REPORT, "asset.json")
@@ -142,20 +144,24 @@ class Exported:
     notes: Sequence[str]  # Each text explains why a file or feature is missing in the exported folder.
 
 
-def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
-    """Write a run's policy as a bundle, by default into the folder ``exported/bundle`` of the run directory.
+def export(
+    run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str], kind: str = BUNDLE
+) -> Exported:
+    """Write a run's policy as a bundle, by default into the folder ``exported/<kind>`` of the run directory.
 
     If the default folder already exists, a number is appended to the name of the new folder. If ``checkpoint`` is None,
     the last checkpoint of the run is exported. If the exported ``runner.py`` cannot compute the policy, raise
     ConfigError. If an exported policy file gives different actions than the simulation, raise SimulationFailure and
     write nothing.
     """
+    if kind == LEAPP and find_spec(LEAPP) is None:
+        raise ConfigError("leapp is not installed", key="--format", expected="pip install 'wheelleg_exp[leapp]'")
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
         require_new(output)
-    target = run.exported / BUNDLE if output is None else output.absolute()
+    target = run.exported / kind if output is None else output.absolute()
     with for_people(target), temporary_folder(target) as work:
-        differences, notes = _fill(work, run, checkpoint)
+        differences, notes = _fill(work, run, checkpoint, kind)
         sync_folder(work)
         number, place = 1, target
         while place.exists() or place.is_symlink():
@@ -178,7 +184,7 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     return Exported(run, checkpoint, folder, differences, notes)
 
 
-def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
+def _fill(folder: Path, run: RunDirectory, checkpoint: Path, kind: str) -> tuple[dict[str, float], list[str]]:
     """Write all files of the exported folder; return the fields ``differences`` and ``notes`` of ``Exported``."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
@@ -197,13 +203,15 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     adapter = RslRlVecEnv(env, agent.get("clip_actions"))
     policy = load_policy(checkpoint, adapter, agent)
     network, arrays = network_arrays(policy, role)
-    clip, names = agent.get("clip_actions"), list(spec["readings"])
+    clip, names = agent.get("clip_actions"), list(leapp_readings(spec).values() if kind == LEAPP else spec["readings"])
     recorded = recorded_episodes(adapter, in_float64(policy), policy, groups, names, clip, steps)
     origin = {"id": run.id, "task": run.manifest().data.get("task"), "iteration": state["iter"]}
     origin |= {"checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
     spec = {"format_version": spec.pop("format_version"), "run": origin, **spec}
     about = {"file": "check.npz", "steps": steps, "tolerance": TOLERANCE, "tolerance_float32": TOLERANCE_FLOAT32}
     spec |= {"network": network, "check": about}
+    if kind == LEAPP:
+        return write_leapp(folder, spec, plain, policy.as_onnx(verbose=False), recorded)
     write_bytes(folder / "policy.npz", _npz(arrays))
     write_bytes(folder / "check.npz", _npz(recorded))
     for name in _COPIED_FILES:

@@ -36,6 +36,7 @@ READINGS = {
         "unit vector of gravity in the base's axes, upright (0, 0, -1); base_quat (w, x, y, z) may stand for it",
         obs.projected_gravity,
     ),
+    "base_quat": Reading("1", "orientation of the base in the world (w, x, y, z)", obs.root_quat_w),
     "base_lin_vel": Reading(
         "m/s", "velocity of the base's centre of mass in its own axes: an estimate", obs.base_lin_vel
     ),
