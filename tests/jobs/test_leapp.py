@@ -43,9 +43,15 @@ VARIANTS = {
     ],
     "moving_average": [
         *("+env.observations.policy.history_order=time", "action@env.actions=[leg_pos_ema,wheel_rel_pos]"),
-        *("env.robot.actuators.wheels.stiffness=1.0", "robot=motor", "agent.actor.activation=tanh"),
+        *(
+            "env.robot.actuators.wheels.stiffness=1.0",
+            "env.actions.leg_pos_ema.scale=20.0",
+            "robot=motor",
+            "agent.actor.activation=tanh",
+        ),
         f"+{TERMS}.joint_vel_rel.modifiers=[{FILTER}, {SMOOTH}, {{_target_: {MODIFIERS}.Scale, multiplier: 0.5}}]",
         f"+{TERMS}.base_ang_vel.modifiers=[{{_target_: {MODIFIERS}.Integrator, dt: 0.1}}]",
+        "env.actions.leg_pos_ema.clip={l01: [-0.5, 0.5]}",
         f"+{TERMS}.bent={{_target_: {OBSERVATIONS}.joint_pos_limit_normalized, asset_cfg: {LEGS}}}",
         f"+{TERMS}.remaining_time_s._target_={OBSERVATIONS}.remaining_time_s",
     ],
@@ -99,7 +105,8 @@ def test_leapp_gives_the_targets_of_the_runner_and_reads_what_the_tensors_are(tm
     assert given["joint_vel"] == ("state/joint/velocity", ["l01", "r01", "l02", "r02", "l03", "r03"])
     assert given["commands_base_velocity"][1] == ["lin_vel_x", "lin_vel_y", "ang_vel_z"]
     assert outputs["target_velocity"]["kind"] == "target/joint/velocity"
-    assert about["pipeline"]["configs"]["frequency"] == pytest.approx(60)
+    configs = about["pipeline"]["configs"]
+    assert (configs["frequency"], configs["run"]["checkpoint"]) == (pytest.approx(60), "model_2.pt")
     onnx.checker.check_model(tmp_path / "leapp" / "policy.onnx")
     files = ["policy.onnx", "policy.yaml", "policy_initial_values.safetensors"]
     assert sorted(path.name for path in (tmp_path / "leapp").iterdir()) == files
