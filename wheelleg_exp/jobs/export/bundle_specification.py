@@ -20,6 +20,7 @@ from tensordict import TensorDict
 from wheelleg_exp.anatomy.compiled_robot import at_default
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.export.bundle.runner import projected_gravity
 from wheelleg_exp.jobs.export.exported_observations import COMMANDS, observation_specs, reading, readings_of
 from wheelleg_exp.mdp import actions
 from wheelleg_exp.sim import actuators
@@ -234,7 +235,7 @@ def specification(
     names = readings_of(groups)
     limits = [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()]
     by_joint = per_joint(env, drives)
-    return {
+    found = {
         "format_version": FORMAT_VERSION,
         "step_dt": env.step_dt,
         "physics_dt": env.physics_dt,
@@ -272,6 +273,75 @@ def specification(
             "quat": layout.default_root_quat.tolist(),
         },
     }
+    return found | {"safety": safety(env, found)}
+
+
+# ``policy_step`` of the C header returns ``not_finite``; ``update`` returns the other codes.
+STATUS = {"ok": 0, "not_finite": 1, "held": 2, "late": 3, "fallen": 4, "stopped": 5, "starting": 6}
+_FALL_ANGLE = 1.0  # rad, if no termination of the task has a limit angle
+_MOST = {"ang_vel": 35.0, "lin_acc": 157.0}  # rad/s and m/s²: gyroscopes of 2000 °/s and accelerometers of 16 g
+_STILL, _SLOW = {"ang_vel": 0.2, "joint_vel": 0.5}, {"ang_vel": 2.0, "joint_vel": 10.0}  # rad/s
+_POSITION_MARGIN, _VELOCITY_FACTOR = 0.2, 2.0  # rad beyond the joint limits; times the velocity or effort limit
+
+
+def safety(env: ManagerBasedRLEnv, spec: Spec) -> Spec:
+    """Return the section ``safety`` of ``policy.json``: the numbers of ``Policy.update`` in ``runner.py``.
+
+    Lists have one value per component of a reading. A null bound means that the bound does not exist.
+    """
+    angles = [node["limit_angle"] for node in env.cfg["terminations"].values() if node and "limit_angle" in node]
+    angle, fall = min(angles, default=_FALL_ANGLE), _upright(spec)
+    return {
+        "status": STATUS,
+        "rate_hz": 1 / spec["step_dt"],
+        "hold_steps": 3,
+        "missed_steps": 3,
+        "stale_s": 2 * spec["step_dt"],
+        "readings": {name: _plausible(name, spec) for name in spec["readings"]},
+        "fall": None if fall is None else fall | {"angle": angle, "steps": 3},
+        "stop": {"position": spec["default_joint_pos"], "gain": 0.2, "ramp_s": 0.5},
+        "recover": {"angle": min(0.35, angle / 2), "stopped_s": 0.1, "fallen_s": 1.0, "gain_ramp_s": 0.1},
+        "start": {"rest_s": 1.0, "lift_s": 2.0},
+    }
+
+
+def _upright(spec: Spec) -> Spec | None:
+    """Return the reading that shows the base's tilt, and its value when the base is upright; None without such one."""
+    if "projected_gravity" in spec["readings"] and spec["root"]["floating"]:
+        return {"reading": "projected_gravity", "upright": [0.0, 0.0, -1.0]}
+    for name, imu in spec["imus"].items():
+        if imu["body"] == spec["root"]["body"] and f"{name}.projected_gravity" in spec["readings"]:
+            return {"reading": f"{name}.projected_gravity", "upright": projected_gravity(imu["quat"]).tolist()}
+    return None
+
+
+def _plausible(name: str, spec: Spec) -> Spec:
+    """Return the checks of one reading: its kind, its bounds, its largest jump in a control step, and slow values."""
+    width, kind = spec["readings"][name]["width"], name.rpartition(".")[2].removeprefix("base_")
+    speeds = spec["velocity_limit"]
+    rule: Spec = {"check": "bounds", "low": [None] * width, "max_jump": [None] * width}
+    rule |= {"high": [_MOST.get(kind)] * width, "still": _STILL.get(kind), "slow": _SLOW.get(kind)}
+    if name == "joint_pos":
+        rule["check"] = "encoder"
+        for side, key, margin in ((0, "low", -_POSITION_MARGIN), (1, "high", _POSITION_MARGIN)):
+            bounds = [pair[side] for pair in spec["joint_pos_limits"]]
+            rule[key] = [None if bound is None else bound + margin for bound in bounds]
+        rule["max_jump"] = [speed and _VELOCITY_FACTOR * speed * spec["step_dt"] for speed in speeds]
+        return rule
+    if name in ("joint_vel", "joint_effort"):
+        limits = speeds if name == "joint_vel" else spec["effort_limit"]
+        rule["high"] = [limit and _VELOCITY_FACTOR * limit for limit in limits]
+    elif name.startswith(COMMANDS):
+        ranges = list(spec["commands"][name.removeprefix(COMMANDS)].values())
+        if len(ranges) == width:  # 0 is always allowed, because a lost command becomes 0.
+            rule["low"], rule["high"] = ([f(0.0, *pair) for pair in ranges] for f in (min, max))
+        return rule | {"check": "command"}
+    elif kind in ("projected_gravity", "quat"):
+        rule |= {"check": "unit_vector", "norm": [0.5, 1.5]}
+        if kind == "projected_gravity":  # Gravity turns in the base's axes at most as fast as the gyroscope can show.
+            rule["max_jump"] = [_MOST["ang_vel"] * spec["step_dt"]] * width
+    rule["low"] = [None if high is None else -high for high in rule["high"]]
+    return rule
 
 
 def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, Any]]) -> list[int]:

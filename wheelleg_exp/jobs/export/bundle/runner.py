@@ -4,14 +4,16 @@
     policy.reset()                         # when an episode begins
     targets = policy.step({"base_ang_vel": ..., "base_quat": ..., "joint_pos": ..., "commands.<name>": ...})
 
-Call ``step`` every ``step_dt`` seconds. In ``policy.json``, ``readings`` lists the width and unit of each sensor
-reading, and ``joint_names`` the joint order. README.md explains the remaining keys. ``python runner.py`` compares the
-actions of this program with actions recorded in the training's simulation. ``python runner.py --onnx`` checks
-``policy.onnx``, with the package onnxruntime or onnx.
+Call ``step`` every ``step_dt`` seconds. On a real robot, call ``update`` instead: it starts the robot up, bridges bad
+sensor readings, and detects falls. In ``policy.json``, ``readings`` lists the width and unit of each sensor reading,
+and ``joint_names`` the joint order. README.md explains the remaining keys. ``python runner.py`` compares the actions of
+this program with actions recorded in the training's simulation. ``python runner.py --onnx`` checks ``policy.onnx``,
+with the package onnxruntime or onnx.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -21,6 +23,10 @@ from typing import Any
 import numpy as np
 
 F = np.float32
+TARGETS = ("position", "velocity", "effort")
+TURN = F(2 * np.pi)
+OK, NOT_FINITE, HELD, LATE, FALLEN, STOPPED, STARTING = range(7)  # ``safety.status`` of policy.json explains them.
+MOST_STEPS = 10_000  # A longer pause counts as this number of control steps.
 LARGEST = 2.0**64  # Sensor readings above 2**64 are rejected, because their float32 sums could overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
@@ -44,6 +50,16 @@ def projected_gravity(quat: Any) -> np.ndarray:
     """Return the unit vector of gravity in the frame of a link; ``quat`` (w, x, y, z) is the link's orientation."""
     w, x, y, z = np.asarray(quat, np.float64) / np.linalg.norm(quat)
     return np.array([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], F)
+
+
+def gravity_or_zeros(quat: Any) -> np.ndarray:
+    """Return ``projected_gravity``; return zeros, a bad reading, if ``quat`` has no length between 0.5 and 1.5."""
+    try:
+        x = np.array(quat, np.float64)
+    except (TypeError, ValueError):
+        return np.zeros(3, F)
+    good = x.shape == (4,) and (np.abs(x) < LARGEST).all() and 0.5 <= np.linalg.norm(x) <= 1.5
+    return projected_gravity(x) if good else np.zeros(3, F)
 
 
 class Term:
@@ -135,6 +151,52 @@ class Term:
         return self.history
 
 
+class Reading:
+    """The checks of one sensor reading or command, described by an entry of ``safety.readings`` in ``policy.json``.
+
+    ``last`` (width,) is the last good value, which the policy gets. ``held`` counts the consecutive control steps with
+    a bad value, and ``gap`` the steps since ``last``. ``turns`` (width,) are added to the raw angles of encoders.
+    """
+
+    def __init__(self, rule: Mapping[str, Any]) -> None:
+        self.kind, self.norm = rule["check"], rule.get("norm", ())
+        self.low, self.high, self.jump = (array(rule[key], np.inf) for key in ("low", "high", "max_jump"))
+        self.low = array(rule["low"], -np.inf)
+        self.last, self.turns = np.zeros_like(self.low), np.zeros_like(self.low)
+        self.held, self.gap = 0, -1  # No good value so far: the gap is negative.
+
+    def accept(self, values: Any, steps: int, stale: bool, hold_steps: int) -> None:
+        """Check the values of a control step, ``steps`` after the previous ones; store them unless they are bad."""
+        try:
+            x: Any = np.array(values, F)
+        except (TypeError, ValueError):
+            x = np.zeros(0, F)
+        turns, jumped = self.turns, False
+        self.gap = min(self.gap + steps, MOST_STEPS) if self.gap >= 0 else -1
+        good = not stale and x.shape == self.last.shape and bool((np.abs(x) < LARGEST).all())
+        if good and self.kind == "unit_vector":
+            length = np.sqrt(np.sum(x * x, dtype=F))
+            good = bool(F(self.norm[0]) <= length <= F(self.norm[1]))
+            x = x / length if good else x
+        elif good and self.kind == "command":
+            x = np.clip(x, self.low, self.high)
+        elif good and self.kind == "encoder":
+            x = x + TURN * turns
+        if good and self.gap >= 0:
+            most = self.jump * F(self.gap)
+            if self.kind == "encoder":  # An encoder's angle that jumps by about a whole turn has wrapped around.
+                most = np.minimum(most, F(np.pi))
+                wraps = np.where(np.abs(x - self.last) > most, np.floor((x - self.last) / TURN + F(0.5)), F(0))
+                x, turns = x - TURN * wraps, turns - wraps
+            jumped = bool((np.abs(x - self.last) > most).any())
+        good = good and bool(((self.low <= x) & (x <= self.high)).all())
+        self.held = 0 if good and not jumped else min(self.held + steps, MOST_STEPS)
+        if good and (not jumped or self.held > hold_steps):  # After a long loss, jumps count from the newest value.
+            self.last, self.turns, self.gap = x, turns, 0
+        elif self.kind == "command" and self.held > hold_steps:
+            self.last = np.zeros_like(x, shape=self.last.shape)
+
+
 class Policy:
     """The policy with its memory: histories, last action, filters, moving averages.
 
@@ -158,8 +220,26 @@ class Policy:
         self.limit = array(self.spec["velocity_limit"], np.inf)
         limits = zip(*self.spec["joint_pos_limits"], strict=True)
         self.bounds = [array(values, missing) for values, missing in zip(limits, (-np.inf, np.inf), strict=True)]
-        self.default = array(self.spec["default_joint_pos"])
+        self.default, self.effort = array(self.spec["default_joint_pos"]), array(self.spec["effort_limit"], np.inf)
+        self.free = np.isinf(self.bounds[0]) & np.isinf(self.bounds[1])  # joints without limits, such as wheels
         self.rolling = np.array([name in self.spec["rolling_joints"] for name in self.spec["joint_names"]], bool)
+        self.safety = self.spec["safety"]
+        self.begin()
+
+    def begin(self, startup: bool = True) -> None:
+        """Start the operation of ``update``: with the start-up procedure, or with the policy at once."""
+        self.readings = {name: Reading(rule) for name, rule in self.safety["readings"].items()}
+        self.phase, self.reason = "rest" if startup else "run", STOPPED
+        self.now: int | None = None  # µs, of the previous update
+        self.phase_steps = self.calm = self.tilted = 0
+        zeros = np.zeros_like(self.default)
+        self.sent: dict[str, Any] = {
+            "position": self.default,
+            "velocity": zeros,
+            "effort": zeros,
+            "gain": F(not startup),
+        }
+        self.before = self.sent  # ``before`` is the output at the start of a phase.
         self.reset()
 
     def reset(self) -> None:
@@ -268,6 +348,158 @@ class Policy:
         found["position"] = np.clip((found["position"] + self.zero).astype(F), *self.bounds)
         found["velocity"] = np.clip(found["velocity"], -self.limit, self.limit)
         return found
+
+    def update(self, readings: Mapping[str, Any], time: float, now: float | None = None) -> dict[str, Any]:
+        """Return finite targets within all limits for any readings, as ``step`` does, with ``gain`` and ``status``.
+
+        ``time`` (s) is when the readings were taken, and ``now`` (s, by default ``time``) is the current time of the
+        same clock. A missing, stale, implausible, or not finite reading is bad. The drives must multiply stiffness and
+        damping by ``gain``, from 0 to 1. ``status`` is a number of ``safety.status`` in ``policy.json``.
+        """
+        rules, hold = self.safety, self.safety["hold_steps"]
+        steps, stale = self.elapsed(time, time if now is None else now)
+        if "projected_gravity" not in readings and "base_quat" in readings:
+            readings = {**readings, "projected_gravity": gravity_or_zeros(readings["base_quat"])}
+        for name, reading in self.readings.items():
+            reading.accept(readings.get(name), steps, stale, hold)
+        sensors = [reading for reading in self.readings.values() if reading.kind != "command"]
+        lost = steps > rules["missed_steps"] + 1 or any(s.held > hold or s.gap < 0 for s in sensors)
+        good = not any(s.held or s.gap < 0 for s in sensors)
+        upright, fallen = good, False
+        if rules["fall"] is not None:
+            gravity, up = self.readings[rules["fall"]["reading"]], array(rules["fall"]["upright"])
+            cosine = np.sum(gravity.last * up, dtype=F)
+            upright = good and bool(cosine >= F(np.cos(rules["recover"]["angle"])))
+            if gravity.held == 0:
+                tilted = gravity.gap == 0 and cosine < F(np.cos(rules["fall"]["angle"]))
+                self.tilted = min(self.tilted + steps, MOST_STEPS) if tilted else 0
+            fallen = self.tilted >= rules["fall"]["steps"]
+        self.phase_steps = min(self.phase_steps + steps, MOST_STEPS)
+        settled = good and self.below("still") if self.phase == "rest" else upright and self.below("slow")
+        self.calm = min(self.calm + steps, MOST_STEPS) if settled else 0
+        if self.phase == "rest":
+            if self.calm >= self.count(rules["start"]["rest_s"]):
+                self.enter("lift")
+        elif self.phase == "stop":
+            self.reason = FALLEN if fallen else self.reason
+            wait = rules["recover"]["fallen_s" if self.reason == FALLEN else "stopped_s"]
+            if self.calm >= self.count(wait):
+                self.enter("run")
+        elif lost or (fallen and self.phase == "run"):
+            self.enter("stop", STOPPED if lost else FALLEN)
+        elif self.phase == "lift" and settled and self.phase_steps > self.count(rules["start"]["lift_s"]):
+            self.enter("run")
+        status = STARTING if self.phase != "stop" else self.reason
+        if self.phase == "run":
+            status = HELD if any(r.held for r in self.readings.values()) else LATE if steps > 1 else OK
+            self.steps += steps - 1 if self.steps else 0  # Terms such as ``gait_phase`` count the missed steps.
+            found = self.step({name: reading.last for name, reading in self.readings.items()})
+            found |= {"gain": self.ramped("gain", F(1), rules["recover"]["gain_ramp_s"])}
+            found["effort"] = np.clip(found["effort"], -self.effort, self.effort) * found["gain"]
+            found["position"] = np.where(self.free, found["position"] - self.turned(), found["position"])
+            if all(np.isfinite(value).all() for value in found.values()):
+                self.sent = found
+            else:
+                self.enter("stop", STOPPED)
+                status = STOPPED
+        if self.phase != "run":
+            self.sent = self.at_rest()
+        return {**self.sent, "status": status}
+
+    def at_rest(self) -> dict[str, Any]:
+        """Return the outputs of the phases in which the policy does not run; free joints stay where they are."""
+        rules, measured = self.safety, np.clip(self.readings["joint_pos"].last, *self.bounds)
+        here = np.where(self.free, measured - self.turned(), measured)
+        if self.phase == "rest" or self.readings["joint_pos"].gap < 0:
+            zeros = np.zeros_like(self.default)
+            position = self.default if self.readings["joint_pos"].gap < 0 else here
+            return {"position": position, "velocity": zeros, "effort": zeros, "gain": F(0)}
+        lifts = self.phase == "lift"
+        seconds = rules["start"]["lift_s"] if lifts else rules["stop"]["ramp_s"]
+        found = {key: self.ramped(key, F(0), seconds) for key in ("velocity", "effort")}
+        pose = self.default if lifts else array(rules["stop"]["position"])
+        found["position"] = np.where(self.free, here, self.ramped("position", pose, seconds))
+        gain = F(1) if lifts else min(self.before["gain"], F(rules["stop"]["gain"]))
+        return found | {"gain": self.ramped("gain", gain, seconds)}
+
+    def ramped(self, key: str, goal: Any, seconds: float) -> Any:
+        """Return an output on its way from the start of the phase to ``goal``, which it reaches after ``seconds``."""
+        part = F(min(self.phase_steps, self.count(seconds))) / F(self.count(seconds))
+        return self.before[key] + part * (goal - self.before[key])
+
+    def enter(self, phase: str, reason: int = STOPPED) -> None:
+        """Start a phase of ``update``: rest, lift, run, or stop; the policy's memory is cleared before it runs."""
+        self.phase, self.reason, self.before = phase, reason, self.sent
+        self.phase_steps, self.calm = 1, 0
+        if phase == "run":
+            self.reset()
+
+    def count(self, seconds: float) -> int:
+        """Return a duration in control steps, at least 1."""
+        return max(1, round(seconds / self.spec["step_dt"]))
+
+    def below(self, key: str) -> bool:
+        """Return whether all readings that have the bound ``key``, ``still`` or ``slow``, are within that bound."""
+        bounds = self.safety["readings"].items()
+        return all(np.abs(self.readings[n].last).max() <= F(r[key]) for n, r in bounds if r[key] is not None)
+
+    def turned(self) -> np.ndarray:
+        """Return the angles (J,) that were added to the raw angles of the encoders."""
+        return TURN * self.readings["joint_pos"].turns
+
+    def elapsed(self, time: float, now: float) -> tuple[int, bool]:
+        """Return the control steps since the previous update, at least 1, and whether the readings are stale."""
+        if not (abs(time) < LARGEST and abs(now) < LARGEST):
+            return 1, True
+        tick, before, us = round(1e6 * self.spec["step_dt"]), self.now, round(1e6 * now)
+        self.now, age = us, us - round(1e6 * time)
+        steps = 1 if before is None else (us - before + tick // 2) // tick
+        stale = steps < 1 or not -tick <= age <= round(1e6 * self.safety["stale_s"])
+        return min(max(steps, 1), MOST_STEPS), stale
+
+
+class Log:
+    """A robot log as CSV: one row per control step with time, readings, targets, status, gain, and reset.
+
+    ``write`` appends the row of one ``update``. The readings of the first row define the columns. The fields of a
+    missing reading are empty.
+    """
+
+    def __init__(self, path: str | Path, policy: Policy) -> None:
+        self.path, self.policy, self.fields = Path(path), policy, dict[str, list[str]]()
+
+    def write(self, time: float, readings: Mapping[str, Any], targets: Mapping[str, Any]) -> None:
+        """Append the readings of time ``time`` (s), and what ``Policy.update`` returned for them."""
+        joints, row = self.policy.spec["joint_names"], [f"{time:.6f}"]
+        with self.path.open("a" if self.fields else "w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file)
+            if not self.fields:
+                widths = {name: known["width"] for name, known in self.policy.spec["readings"].items()}
+                widths |= {name: np.size(value) for name, value in readings.items() if name not in widths}
+                if "projected_gravity" not in readings:
+                    widths.pop("projected_gravity", None)
+                self.fields = {name: columns(name, width, joints) for name, width in widths.items()}
+                names = [name for fields in self.fields.values() for name in fields]
+                sent = [f"target_{key}.{joint}" for key in TARGETS for joint in joints]
+                rows.writerow(["time", *names, *sent, "status", "gain", "reset"])
+            for name, fields in self.fields.items():
+                values = np.ravel(readings.get(name, ()))
+                row += (
+                    ["" if value is None else str(value) for value in values]
+                    if len(values) == len(fields)
+                    else [""] * len(fields)
+                )
+            row += [str(value) for key in TARGETS for value in targets[key]]
+            starts = self.policy.steps == 1 and targets["status"] in (OK, HELD, LATE)
+            rows.writerow([*row, str(int(targets["status"])), str(targets["gain"]), str(int(starts))])
+
+
+def columns(name: str, width: int, joints: list[str]) -> list[str]:
+    """Return the names of a reading's columns in a robot log."""
+    if name in ("joint_pos", "joint_vel", "joint_effort"):
+        return [f"{name}.{joint}" for joint in joints]
+    axes = {"base_ang_vel": "xyz", "projected_gravity": "xyz", "base_quat": "wxyz"}.get(name, range(width))
+    return [f"{name}.{axis}" for axis in axes]
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
