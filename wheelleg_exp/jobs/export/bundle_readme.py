@@ -7,11 +7,15 @@ from typing import Any
 
 _FILES = {
     "policy.json": "everything between sensor readings and joint targets, as numbers",
-    "runner.py": "the policy in NumPy, one file: `Policy().step(readings) -> targets`",
+    "runner.py": "the policy in NumPy, one file: `Policy().update(readings, time) -> targets`",
     "policy.npz": "the network's arrays, float32, for `runner.py`",
     "policy.onnx": "the network: `obs` (B, O) to `actions` (B, A), before clipping; its metadata hold `policy.json`",
     "policy.pt": "the same as TorchScript",
-    "policy.h": "the same policy in C99: readings to targets, no other file needed; returns a status",
+    "policy.h": "the same policy in C99, one file; `example/main.c` shows its use",
+    "example/main.c": "runs `policy.h` on `example/readings.csv`: `cmake -S example -B build && cmake --build build && "
+    "build/policy_example example/readings.csv`",
+    "example/CMakeLists.txt": "builds `main.c`; `-DPOLICY_FLOAT=ON` for computers without double numbers",
+    "example/readings.csv": "readings of a recorded episode, in the layout of a robot log",
     "check.npz": "readings, observations, actions and targets of training's own simulation, with which "
     "`python runner.py` compares each step",
     "simulate.py": "the robot in MuJoCo: `python simulate.py --seconds 20 --view`; needs numpy and mujoco, `--onnx` "
@@ -20,15 +24,79 @@ _FILES = {
     "robot/scene.xml": "the same with training's drives, friction and solver on level ground",
 }
 _USE = """```python
-from runner import Policy
+from runner import Log, Policy
 
 policy = Policy()              # Policy(onnx=True) runs policy.onnx, with onnxruntime or onnx
-policy.reset()                 # when an episode starts, and after the robot was put on its feet
-targets = policy.step({...})   # every step_dt: targets["position"] (rad), ["velocity"] (rad/s), ["effort"] (N·m)
+policy.begin()                 # start-up; begin(startup=False) runs the policy at once, as in a simulation
+log = Log("log.csv", policy)   # optional: the robot log
+targets = policy.update({...}, time)  # every step_dt: targets["position"] (rad), ["velocity"] (rad/s), ["effort"] (N·m)
+log.write(time, {...}, targets)       # targets["gain"]: multiply the drives' stiffness and damping; targets["status"]
 ```
 
-A reading that is NaN, inf or missing raises ValueError; in C `policy_step` returns `POLICY_NOT_FINITE`. The call then
+`update` accepts any readings, and returns finite targets within the limits of joints and drives. `policy.step` (in C
+`policy_step`) is the policy alone: a reading that is NaN, inf or missing raises ValueError (in C `POLICY_NOT_FINITE`),
 changes nothing, and the caller must decide what the drives do."""
+
+
+def _safety(spec: Mapping[str, Any]) -> list[str]:
+    """Return the sections about start-up, bad readings, falls, and the control rate."""
+    rules, codes = spec["safety"], spec["safety"]["status"]
+    start, stop, recover, fall = (rules[key] for key in ("start", "stop", "recover", "fall"))
+    hold, missed, hz = rules["hold_steps"], rules["missed_steps"], rules["rate_hz"]
+    fallen = "no reading shows the tilt, so falls are not detected"
+    if fall is not None:
+        fallen = f"tilted by more than {fall['angle']:.3g} rad for {fall['steps']} control steps; safe stop"
+    meaning = {
+        "ok": "the policy runs",
+        "held": f"a reading is bad: the policy gets its last good value, for at most {hold} control steps; after that, "
+        "a bad command becomes 0",
+        "late": f"1 to {missed} control steps were missed; the policy runs once",
+        "fallen": fallen,
+        "stopped": f"a reading was bad for more than {hold} control steps, or more than {missed} steps were missed; "
+        "safe stop",
+        "starting": "start-up: the policy does not run yet",
+        "not_finite": "returned only by `policy_step` in C",
+    }
+    bounds = [
+        (f"`{name}`", _bounds(rule, "low"), _bounds(rule, "high"), _bounds(rule, "max_jump"), rule["check"])
+        for name, rule in rules["readings"].items()
+    ]
+    steps = (
+        f"Lay down: put the robot down and do not touch it. The gain is 0. The phase lasts until all readings are "
+        f"good and still for {start['rest_s']:g} s.",
+        f"Lift: hold the robot upright with its wheels on the ground. In {start['lift_s']:g} s, the joints move to "
+        "their default positions and the gain rises to 1.",
+        f"Hold the robot upright and still for {start['upright_s']:g} s.",
+        "Run: when the status is `ok`, let go. Wheel angles count from here, and the memory of the policy is empty.",
+    )
+    return [
+        "## Safety\n\n`update` uses the numbers of the section `safety` of `policy.json`. In C they are constants, "
+        "which compiler options such as `-DPOLICY_HOLD_STEPS=5` override.",
+        _table(("status", "number", "meaning"), [(f"`{key}`", codes[key], text) for key, text in meaning.items()]),
+        "### Start-up\n\n" + "\n".join(f"{number}. {text}" for number, text in enumerate(steps, 1)),
+        f"### Safe stop\n\nIn {stop['ramp_s']:g} s, velocity and effort targets ramp to 0, position targets to "
+        f"`stop.position`, and the gain to {stop['gain']:g}. The policy resumes when all readings are good, the tilt "
+        f"is below {recover['angle']:.3g} rad, and the robot is slow (`slow` of each reading), for "
+        f"{recover['stopped_s']:g} s after `stopped` and {recover['fallen_s']:g} s after `fallen`. Then the memory of "
+        f"the policy is empty, and the gain rises to 1 in {recover['gain_ramp_s']:g} s. To prevent that, switch the drives off or call `begin`.",
+        f"### Time\n\nCall `update` at {hz:.4g} Hz; half a step of jitter is allowed. `time` is when the sensors took "
+        "the readings. A driver that gives old values a new time hides a lost sensor. All readings are bad if they are "
+        f"older than {1000 * rules['stale_s']:.4g} ms, or if the time did not advance by half a step. The drives "
+        "themselves must stop if no targets arrive.",
+        "### Bad readings\n\nA reading is bad if it is missing, not finite, outside its bounds, or changes in one "
+        "control step by more than the largest jump. Commands are clipped to their range in training. Unit vectors are "
+        "normalised if their length is within `norm`. An encoder angle that jumps by a multiple of 2π is unwrapped. "
+        "Targets of joints with limits are always within the limits, so the drives of these joints must unwrap too. "
+        "Targets of joints without limits count like the encoder.",
+        _table(("reading", "low", "high", "largest jump", "check"), bounds),
+        "### Log\n\n`Log` writes one row per control step: `time`, a column for each number of the readings and "
+        "targets (`joint_pos.<joint>`, `base_ang_vel.x`, `target_velocity.<joint>`), `status`, `gain`, and "
+        "`reset`, which is 1 in the first step of an episode.",
+    ]
+
+
+def _bounds(rule: Mapping[str, Any], key: str) -> str:
+    return " ".join(dict.fromkeys(map(_number, rule[key])))
 
 
 def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) -> str:
@@ -44,6 +112,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
         *(f"Not here: {note}." for note in notes),
         "## Use",
         _USE,
+        *_safety(spec),
         _checked(spec["check"]),
         "## Readings, in the order of `policy.json`",
         _table(

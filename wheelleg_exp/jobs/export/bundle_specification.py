@@ -301,7 +301,7 @@ def safety(env: ManagerBasedRLEnv, spec: Spec) -> Spec:
         "fall": None if fall is None else fall | {"angle": angle, "steps": 3},
         "stop": {"position": spec["default_joint_pos"], "gain": 0.2, "ramp_s": 0.5},
         "recover": {"angle": min(0.35, angle / 2), "stopped_s": 0.1, "fallen_s": 1.0, "gain_ramp_s": 0.1},
-        "start": {"rest_s": 1.0, "lift_s": 2.0},
+        "start": {"rest_s": 1.0, "lift_s": 2.0, "upright_s": 0.5},
     }
 
 

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from wheelleg_exp.jobs.export.c_update import update_code
+
 Spec = Mapping[str, Any]
 _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
@@ -94,8 +96,8 @@ def _value(name: str, term: Spec, dt: float) -> Iterator[str]:
         offsets = term["offsets"]
         for i, offset in enumerate(offsets):
             cycles = f"(float)s->steps * {number(dt / term['period'])} + ({number(offset)})"
-            angle = f"{number(2 * np.pi)} * (float)fmod({cycles}, 1.0)"
-            yield f"v[{i}] = (float)sin({angle}); v[{i + len(offsets)}] = (float)cos({angle});"
+            angle = f"{number(2 * np.pi)} * fmodf({cycles}, 1.0f)"
+            yield f"v[{i}] = sinf({angle}); v[{i + len(offsets)}] = cosf({angle});"
     elif kind == "travel_error":
         pairs = zip(term["columns"], term["signs"], strict=True)
         wheels = " ".join(f"{'+' if sign > 0 else '-'} r->joint_vel[{column}]" for column, sign in pairs)
@@ -113,14 +115,14 @@ def _value(name: str, term: Spec, dt: float) -> Iterator[str]:
 def _read(term: Spec) -> Iterator[str]:
     source, columns = f"r->{identifier(term['reading'])}", term.get("columns")
     if term["function"] == "roll_pitch":
-        yield f"v[0] = (float)atan2(-{source}[1], -{source}[2]);"
-        yield f"v[1] = (float)asin(policy_clip({source}[0], -1.0f, 1.0f));"
+        yield f"v[0] = atan2f(-{source}[1], -{source}[2]);"
+        yield f"v[1] = asinf(policy_clip({source}[0], -1.0f, 1.0f));"
         return
     count = len(columns) if columns is not None else term["width"]
     for i in range(count):
         x = f"{source}[{i if columns is None else columns[i]}]"
         if term["function"] == "sin_cos":
-            yield f"v[{i}] = (float)sin({x}); v[{i + count}] = (float)cos({x});"
+            yield f"v[{i}] = sinf({x}); v[{i + count}] = cosf({x});"
         elif term["function"] == "minus_default":
             yield f"v[{i}] = {x} - ({number(term['subtract'][i])});"
         elif term["function"] == "within_limits":
@@ -159,15 +161,16 @@ def in_comment(text: str) -> str:
     return text.replace("*", "_")
 
 
+# ``POLICY_F(exp, x)`` calls ``expf`` in a header with POLICY_REAL=float, because small computers lack double numbers.
 _ACTIVATIONS = {
-    "elu": "x > 0 ? x : expm1(x)",
+    "elu": "x > 0 ? x : POLICY_F(expm1, x)",
     "relu": "x > 0 ? x : 0",
-    "leaky_relu": "x > 0 ? x : 0.01 * x",
-    "selu": "1.0507009873554805 * (x > 0 ? x : 1.6732632423543772 * expm1(x))",
-    "tanh": "tanh(x)",
-    "sigmoid": "1 / (1 + exp(-x))",
-    "softplus": "(x > 0 ? x : 0) + log1p(exp(-fabs(x)))",
-    "swish": "x / (1 + exp(-x))",
+    "leaky_relu": "x > 0 ? x : (policy_real)0.01 * x",
+    "selu": "(policy_real)1.0507009873554805 * (x > 0 ? x : (policy_real)1.6732632423543772 * POLICY_F(expm1, x))",
+    "tanh": "POLICY_F(tanh, x)",
+    "sigmoid": "1 / (1 + POLICY_F(exp, -x))",
+    "softplus": "(x > 0 ? x : 0) + POLICY_F(log1p, POLICY_F(exp, x > 0 ? -x : x))",
+    "swish": "x / (1 + POLICY_F(exp, -x))",
     "identity": "x",
 }
 
@@ -205,6 +208,7 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         clip="" if spec["clip_actions"] is None else _CLIP.format(bound=number(spec["clip_actions"])),
         processed=_indented(processed, 4),
         apply=_indented(_applied(spec), 4),
+        update=update_code(spec),
     )
 
 
@@ -226,8 +230,8 @@ def _constants(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Ite
     yield _array("float", "policy_default_joint_pos", map(number, spec["default_joint_pos"]))
     yield _array("float", "policy_velocity_limit", map(number, spec["velocity_limit"]))
     for name, array in arrays.items():
-        kind = "double" if array.dtype == np.float64 else "float"
-        words = (repr(float(v)) if kind == "double" else f"{float(v):.9g}" for v in array.ravel())
+        kind = "policy_real" if array.dtype == np.float64 else "float"
+        words = (repr(float(v)) if kind == "policy_real" else f"{float(v):.9g}" for v in array.ravel())
         yield _array(kind, f"policy_{name}", (_literal(word, kind) for word in words))
 
 
@@ -282,7 +286,7 @@ def _applied(spec: Mapping[str, Any]) -> Iterable[str]:
             yield f"out->{term['drives']}[{joint}] = {relative}s->processed_{place}[{index}];"
 
 
-_NORMALIZE = "a[i] = (s->observation[i] - (policy_real)policy_mean[i]) / (policy_real)policy_deviation[i];"
+_NORMALIZE = "a[i] = (s->observation[i] - (policy_real)policy_mean[i]) / policy_deviation[i];"
 _COPY = "a[i] = s->observation[i];"
 _CLIP = "    for (i = 0; i < POLICY_ACTIONS; i++) s->action[i] = policy_clip(s->action[i], -{bound}, {bound});\n"
 _HEADER = """\
@@ -298,7 +302,10 @@ _HEADER = """\
  * then changes neither state nor targets. Position targets are clipped to the joints' limits, velocity targets to the
  * drives' limits. Rolling joints, whose positions count from policy_reset: {rolling}.
  *
- * C99, needs the C library's math. -DPOLICY_REAL=float runs the network in single precision.
+ * On a robot, call policy_begin and policy_update instead: they start the robot up, bridge bad readings for a moment,
+ * stop the robot safely, and always give finite targets within all limits. README.md describes them.
+ *
+ * C99, needs the C library's math. -DPOLICY_REAL=float uses single precision and no double function.
  */
 #ifndef POLICY_H
 #define POLICY_H
@@ -311,13 +318,25 @@ _HEADER = """\
 #define POLICY_REAL double
 #endif
 typedef POLICY_REAL policy_real;
+/* name(x); in a float build the float function namef(x) */
+#define POLICY_F(name, x) \\
+    (sizeof(policy_real) == sizeof(float) ? (policy_real)name##f((float)(x)) : (policy_real)name((double)(x)))
 
 #define POLICY_JOINTS {joints}
 #define POLICY_OBSERVATIONS {observations}
 #define POLICY_ACTIONS {actions}
 #define POLICY_STEP_DT {dt!r}
 
-enum {{ POLICY_OK, POLICY_NOT_FINITE }};
+/* The statuses of policy_update; policy_step returns only the first two. */
+enum {{
+    POLICY_OK,
+    POLICY_NOT_FINITE,
+    POLICY_HELD,    /* a bad reading was replaced by the last good one */
+    POLICY_LATE,    /* control steps were missed */
+    POLICY_FALLEN,  /* the robot has fallen: safe stop */
+    POLICY_STOPPED, /* bad readings or missed steps for too long: safe stop */
+    POLICY_STARTING /* start-up: rest, then lift */
+}};
 
 typedef struct {{
 {readings}
@@ -374,9 +393,13 @@ static inline float policy_filter(
     return sum;
 }}
 
-/* The unit vector of gravity in the axes of a link with orientation (w, x, y, z). */
+/* The unit vector of gravity in the axes of a link with orientation (w, x, y, z); zeros, which policy_update treats as
+ * a bad reading, if the length of the quaternion is not between 0.5 and 1.5. */
 static inline void policy_projected_gravity(const float quat[4], float out[3]) {{
-    float w = quat[0], x = quat[1], y = quat[2], z = quat[3];
+    float w = quat[0], x = quat[1], y = quat[2], z = quat[3], length = sqrtf(w * w + x * x + y * y + z * z);
+    memset(out, 0, 3 * sizeof(float));
+    if (!policy_finite(quat, 4 * sizeof(float)) || length < 0.5f || length > 1.5f) return;
+    w /= length, x /= length, y /= length, z /= length;
     out[0] = 2 * (w * y - x * z);
     out[1] = -2 * (w * x + y * z);
     out[2] = 2 * (x * x + y * y) - 1;
@@ -430,5 +453,6 @@ static inline int policy_step(policy_state *s, const policy_readings *r, policy_
     policy_network(s);
     return policy_act(s, r->joint_pos, out);
 }}
+{update}
 #endif
 """

@@ -34,7 +34,8 @@ from wheelleg_exp.files import (
     write_text,
 )
 from wheelleg_exp.jobs.export import bundle
-from wheelleg_exp.jobs.export.bundle_check import TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
+from wheelleg_exp.jobs.export.bundle import runner
+from wheelleg_exp.jobs.export.bundle_check import READING, TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
 from wheelleg_exp.jobs.export.bundle_readme import readme
 from wheelleg_exp.jobs.export.bundle_specification import (
     ROLES,
@@ -129,7 +130,7 @@ def _comma_separated(values: Iterable[Any]) -> str:
 
 BUNDLE, LEAPP = "bundle", "leapp"
 _COPIED_FILES = ("runner.py", "simulate.py")
-_MOST_STEPS = 600
+_MOST_STEPS, _EXAMPLE_STEPS = 600, 120
 _SKIPPED_FILES = (REPORT, "asset.json")
 
 
@@ -225,6 +226,8 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path, kind: str) -> tuple
     write_bytes(folder / "policy.onnx", with_metadata(onnx, spec))
     if not notes:
         write_text(folder / "policy.h", header)
+        shutil.copytree(Path(str(bundle.__file__)).with_name("example"), folder / "example")
+        write_text(folder / "example" / "readings.csv", _readings_csv(spec, recorded))
     notes += _write_robot(folder / "robot", mjcf, params, plain, spec["readings"])
     files = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
     write_text(folder / "README.md", readme(spec, files, notes))
@@ -257,6 +260,19 @@ def _require_unchanged(state: Mapping[str, Any]) -> None:
 def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _readings_csv(spec: Mapping[str, Any], recorded: Mapping[str, np.ndarray]) -> str:
+    """Return the readings of the first recorded episode as CSV, in the layout of a robot log."""
+    steps = int(np.append(np.flatnonzero(recorded["reset"]), len(recorded["reset"]))[1])
+    names = [c for n, r in spec["readings"].items() for c in runner.columns(n, r["width"], spec["joint_names"])]
+    rows = [
+        spec["step_dt"] * np.arange(steps)[:, None],
+        *(recorded[READING + name][:steps] for name in spec["readings"]),
+    ]
+    buffer = io.StringIO()
+    np.savetxt(buffer, np.hstack(rows)[:_EXAMPLE_STEPS], "%.9g", ",", header=",".join(["time", *names]), comments="")
     return buffer.getvalue()
 
 

@@ -165,6 +165,7 @@ class Reading:
         self.last, self.turns = np.zeros_like(self.low), np.zeros_like(self.low)
         self.held, self.gap = 0, -1  # No good value so far: the gap is negative.
 
+    @np.errstate(all="ignore")
     def accept(self, values: Any, steps: int, stale: bool, hold_steps: int) -> None:
         """Check the values of a control step, ``steps`` after the previous ones; store them unless they are bad."""
         try:
@@ -371,14 +372,16 @@ class Policy:
             cosine = np.sum(gravity.last * up, dtype=F)
             upright = good and bool(cosine >= F(np.cos(rules["recover"]["angle"])))
             if gravity.held == 0:
-                tilted = gravity.gap == 0 and cosine < F(np.cos(rules["fall"]["angle"]))
+                tilted = cosine < F(np.cos(rules["fall"]["angle"]))
                 self.tilted = min(self.tilted + steps, MOST_STEPS) if tilted else 0
             fallen = self.tilted >= rules["fall"]["steps"]
         self.phase_steps = min(self.phase_steps + steps, MOST_STEPS)
         settled = good and self.below("still") if self.phase == "rest" else upright and self.below("slow")
         self.calm = min(self.calm + steps, MOST_STEPS) if settled else 0
+        start = rules["start"]
+        lifted = self.phase_steps > self.count(start["lift_s"]) and self.calm >= self.count(start["upright_s"])
         if self.phase == "rest":
-            if self.calm >= self.count(rules["start"]["rest_s"]):
+            if self.calm >= self.count(start["rest_s"]):
                 self.enter("lift")
         elif self.phase == "stop":
             self.reason = FALLEN if fallen else self.reason
@@ -387,7 +390,7 @@ class Policy:
                 self.enter("run")
         elif lost or (fallen and self.phase == "run"):
             self.enter("stop", STOPPED if lost else FALLEN)
-        elif self.phase == "lift" and settled and self.phase_steps > self.count(rules["start"]["lift_s"]):
+        elif self.phase == "lift" and lifted:
             self.enter("run")
         status = STARTING if self.phase != "stop" else self.reason
         if self.phase == "run":
@@ -397,7 +400,7 @@ class Policy:
             found |= {"gain": self.ramped("gain", F(1), rules["recover"]["gain_ramp_s"])}
             found["effort"] = np.clip(found["effort"], -self.effort, self.effort) * found["gain"]
             found["position"] = np.where(self.free, found["position"] - self.turned(), found["position"])
-            if all(np.isfinite(value).all() for value in found.values()):
+            if all((np.abs(value) < LARGEST).all() for value in (self.action, *found.values())):
                 self.sent = found
             else:
                 self.enter("stop", STOPPED)
@@ -418,7 +421,7 @@ class Policy:
         seconds = rules["start"]["lift_s"] if lifts else rules["stop"]["ramp_s"]
         found = {key: self.ramped(key, F(0), seconds) for key in ("velocity", "effort")}
         pose = self.default if lifts else array(rules["stop"]["position"])
-        found["position"] = np.where(self.free, here, self.ramped("position", pose, seconds))
+        found["position"] = np.where(self.free, here, np.clip(self.ramped("position", pose, seconds), *self.bounds))
         gain = F(1) if lifts else min(self.before["gain"], F(rules["stop"]["gain"]))
         return found | {"gain": self.ramped("gain", gain, seconds)}
 

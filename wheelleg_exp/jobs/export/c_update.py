@@ -1,0 +1,79 @@
+"""Write ``policy_update``, the part of ``policy.h`` that does the same as ``Policy.update`` of ``runner.py``.
+
+The C code in ``policy_update.h`` is the same for all policies. Its numbers are constants, written by this module from
+the section ``safety`` of ``policy.json``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.jobs.export.bundle.runner import TARGETS, columns
+
+Spec = Mapping[str, Any]
+_CHECKS = ("bounds", "unit_vector", "command", "encoder")
+_NO_BOUND = 1e30  # a float that no reading reaches; ``inf`` is undefined with -ffast-math
+
+
+def update_code(spec: Spec) -> str:
+    """Return C code with the struct ``policy_guard`` and the functions ``policy_begin`` and ``policy_update``."""
+    code = Path(__file__).with_name("policy_update.h").read_text(encoding="utf-8")
+    return "\n".join([*_constants(spec), code.rstrip()])
+
+
+def _constants(spec: Spec) -> Iterator[str]:
+    safety, step_us = spec["safety"], round(1e6 * spec["step_dt"])
+    start, stop, recover = safety["start"], safety["stop"], safety["recover"]
+    unknown: Spec = {"reading": "joint_pos", "upright": [0.0] * len(spec["joint_names"]), "angle": 0.0, "steps": 1}
+    fall = safety["fall"] or unknown
+    names, rules = list(safety["readings"]), list(safety["readings"].values())
+    seconds = {"REST": start["rest_s"], "LIFT": start["lift_s"], "UPRIGHT": start["upright_s"], "RAMP": stop["ramp_s"]}
+    seconds |= {"STOPPED": recover["stopped_s"], "FALLEN": recover["fallen_s"], "GAIN": recover["gain_ramp_s"]}
+    numbers = {"HOLD_STEPS": safety["hold_steps"], "MISSED_STEPS": safety["missed_steps"], "FALL_STEPS": fall["steps"]}
+    numbers |= {"STEP_US": step_us, "STALE_US": round(1e6 * safety["stale_s"])}
+    numbers |= {f"{name}_STEPS": max(1, round(value / spec["step_dt"])) for name, value in seconds.items()}
+    numbers |= {"STOP_GAIN": _float(stop["gain"]), "RECOVER_COSINE": _float(math.cos(recover["angle"]))}
+    numbers |= {"FALL_COSINE": _float(math.cos(fall["angle"]))}
+    yield "\n/* The section safety of policy.json. -DPOLICY_HOLD_STEPS=5 and so on override a number. */"
+    for name, value in numbers.items():
+        yield f"#ifndef POLICY_{name}\n#define POLICY_{name} {value}\n#endif"
+    widths = [known["width"] for known in spec["readings"].values()]
+    read = [c for n, r in spec["readings"].items() for c in columns(n, r["width"], spec["joint_names"])]
+    sent = [f"target_{key}.{joint}" for key in TARGETS for joint in spec["joint_names"]]
+    yield f"#define POLICY_NUMBERS {sum(widths)} /* of all readings */"
+    yield f"#define POLICY_KINDS {len(rules)} /* of readings */"
+    yield f"#define POLICY_ENCODERS {names.index('joint_pos')}"
+    yield f"#define POLICY_HAS_TILT {int(safety['fall'] is not None)}"
+    yield f"#define POLICY_GRAVITY {names.index(fall['reading'])}"
+    yield f"#define POLICY_READING_COLUMNS {_string(','.join(read))}"
+    yield f"#define POLICY_TARGET_COLUMNS {_string(','.join(sent))}"
+    starts = [sum(widths[:k]) for k in range(len(widths))]
+    table = zip(starts, widths, (_CHECKS.index(rule["check"]) for rule in rules), strict=True)
+    yield "static const int policy_rule[POLICY_KINDS][3] = { /* first number, width, check */"
+    yield ",\n".join(f"    {{{a}, {b}, {c}}}" for a, b, c in table) + "};"
+    for key, sign in (("low", -1), ("high", 1), ("max_jump", 1)):
+        yield _array(f"policy_{key}", [sign * _NO_BOUND if v is None else v for rule in rules for v in rule[key]])
+    for key in ("still", "slow"):
+        yield _array(f"policy_{key}", [_NO_BOUND if rule[key] is None else rule[key] for rule in rules])
+    yield _array("policy_norm", [bound for rule in rules for bound in rule.get("norm", (0.0, _NO_BOUND))])
+    yield _array("policy_upright", fall["upright"])
+    yield _array("policy_safe_position", stop["position"])
+    for side, name in enumerate(("low", "high")):
+        ends = [(pair[side], (2 * side - 1) * _NO_BOUND) for pair in spec["joint_pos_limits"]]
+        yield _array(f"policy_position_{name}", [missing if end is None else end for end, missing in ends])
+    yield _array("policy_effort_limit", [_NO_BOUND if limit is None else limit for limit in spec["effort_limit"]])
+
+
+def _float(value: float) -> str:
+    return f"{float(value)!r}f"
+
+
+def _array(name: str, values: list[float]) -> str:
+    return f"static const float {name}[{len(values)}] = {{{', '.join(map(_float, values))}}};"
+
+
+def _string(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?").replace("\n", "\\n") + '"'
