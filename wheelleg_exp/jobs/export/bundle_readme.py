@@ -78,7 +78,8 @@ def _safety(spec: Mapping[str, Any]) -> list[str]:
         f"`stop.position`, and the gain to {stop['gain']:g}. The policy resumes when all readings are good, the tilt "
         f"is below {recover['angle']:.3g} rad, and the robot is slow (`slow` of each reading), for "
         f"{recover['stopped_s']:g} s after `stopped` and {recover['fallen_s']:g} s after `fallen`. Then the memory of "
-        f"the policy is empty, and the gain rises to 1 in {recover['gain_ramp_s']:g} s. To prevent that, switch the drives off or call `begin`.",
+        f"the policy is empty, and the gain rises to 1 in {recover['gain_ramp_s']:g} s. To prevent that, switch the "
+        "drives off or call `begin`.",
         f"### Time\n\nCall `update` at {hz:.4g} Hz; half a step of jitter is allowed. `time` is when the sensors took "
         "the readings. A driver that gives old values a new time hides a lost sensor. All readings are bad if they are "
         f"older than {1000 * rules['stale_s']:.4g} ms, or if the time did not advance by half a step. The drives "

@@ -280,7 +280,7 @@ def specification(
 STATUS = {"ok": 0, "not_finite": 1, "held": 2, "late": 3, "fallen": 4, "stopped": 5, "starting": 6}
 _FALL_ANGLE = 1.0  # rad, if no termination of the task has a limit angle
 _MOST = {"ang_vel": 35.0, "lin_acc": 157.0}  # rad/s and m/s²: gyroscopes of 2000 °/s and accelerometers of 16 g
-_STILL, _SLOW = {"ang_vel": 0.2, "joint_vel": 0.5}, {"ang_vel": 2.0, "joint_vel": 10.0}  # rad/s
+_STILL, _SLOW = {"ang_vel": 0.2, "joint_vel": 0.5}, {"ang_vel": 4.0, "joint_vel": 20.0}  # rad/s
 _POSITION_MARGIN, _VELOCITY_FACTOR = 0.2, 2.0  # rad beyond the joint limits; times the velocity or effort limit
 
 
@@ -296,11 +296,11 @@ def safety(env: ManagerBasedRLEnv, spec: Spec) -> Spec:
         "rate_hz": 1 / spec["step_dt"],
         "hold_steps": 3,
         "missed_steps": 3,
-        "stale_s": 2 * spec["step_dt"],
+        "stale_s": 2.5 * spec["step_dt"],
         "readings": {name: _plausible(name, spec) for name in spec["readings"]},
         "fall": None if fall is None else fall | {"angle": angle, "steps": 3},
         "stop": {"position": spec["default_joint_pos"], "gain": 0.2, "ramp_s": 0.5},
-        "recover": {"angle": min(0.35, angle / 2), "stopped_s": 0.1, "fallen_s": 1.0, "gain_ramp_s": 0.1},
+        "recover": {"angle": min(0.35, angle / 2), "stopped_s": 0.03, "fallen_s": 1.0, "gain_ramp_s": 0.1},
         "start": {"rest_s": 1.0, "lift_s": 2.0, "upright_s": 0.5},
     }
 

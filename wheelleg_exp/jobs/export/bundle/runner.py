@@ -452,10 +452,10 @@ class Policy:
 
     def elapsed(self, time: float, now: float) -> tuple[int, bool]:
         """Return the control steps since the previous update, at least 1, and whether the readings are stale."""
-        if not (abs(time) < LARGEST and abs(now) < LARGEST):
+        if not abs(now) < LARGEST:
             return 1, True
         tick, before, us = round(1e6 * self.spec["step_dt"]), self.now, round(1e6 * now)
-        self.now, age = us, us - round(1e6 * time)
+        self.now, age = us, us - round(1e6 * time) if abs(time) < LARGEST else -2 * tick
         steps = 1 if before is None else (us - before + tick // 2) // tick
         stale = steps < 1 or not -tick <= age <= round(1e6 * self.safety["stale_s"])
         return min(max(steps, 1), MOST_STEPS), stale

@@ -1,0 +1,367 @@
+"""The supervised step of a bundle: injected faults, falls, start-up, and the C header on the same readings.
+
+A linear balancer replaces the network of a small training, so that the robot of the bundle stands in MuJoCo.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from patience import PATIENCE_S
+
+from jobs.small import succeed, trained_once
+from wheelleg_exp.jobs.export.c_header import c_header
+
+pytestmark = pytest.mark.train
+
+OK, HELD, LATE, FALLEN, STOPPED, STARTING = 0, 2, 3, 4, 5, 6
+FLAGS = ("-std=c99", "-O2", "-pedantic", "-Wall", "-Wextra", "-Werror")
+START, STEPS = 60, 200  # the control step of the fault, and the steps of an episode
+NEEDS_CC = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+DRIVER = """
+#include "policy.h"
+#include <stdio.h>
+int main(int argc, char **argv) {
+    static policy_guard guard;
+    struct { int64_t time, now; float quat[4]; policy_readings readings; char end; } in;
+    struct { float status, gain; policy_targets targets; } out;
+    (void)argv;
+    policy_begin(&guard, argc > 1);
+    while (fread(&in, (size_t)(&in.end - (char *)&in), 1, stdin)) {
+        if (in.quat[0] < 9.0f) policy_projected_gravity(in.quat, in.readings.projected_gravity);
+        out.status = (float)policy_update(&guard, &in.readings, in.time, in.now, &out.targets, &out.gain);
+        fwrite(&out, sizeof out, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("exported") / "bundle"
+    succeed("export", trained_once(tmp_path_factory).run.path, "-o", folder)
+    # Wheel speeds from the latest gravity, pitch rate, wheel speeds, actions, and distance; a search found the gains.
+    weight = np.zeros((6, 135), np.float32)
+    weight[4:, [27, 13, 93, 94, 123, 124, 133]] = [18.8, 7.36, 4.5, 4.5, 0.1125, 0.1125, 1.54]
+    arrays = {"weight_0": weight, "bias_0": np.zeros(6, np.float32)}
+    np.savez(folder / "policy.npz", **arrays)
+    spec = json.loads((folder / "policy.json").read_text())
+    spec["network"] |= {"widths": [6], "activations": ["identity"], "normalized": False}
+    (folder / "policy.json").write_text(json.dumps(spec))
+    (folder / "policy.h").write_text(c_header(spec, arrays))
+    (folder / "driver.c").write_text(DRIVER)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def modules(bundle) -> Iterator[tuple]:
+    """Return the modules ``runner`` and ``simulate`` of the bundle."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(bundle))
+        for name in ("runner", "simulate"):
+            patch.delitem(sys.modules, name, raising=False)
+        import runner
+        import simulate
+
+        yield runner, simulate
+
+
+class Loop:
+    """The robot of the bundle under ``Policy.update``, with all inputs and outputs for a comparison with C."""
+
+    def __init__(self, modules: tuple, folder: Path, startup: bool = False) -> None:
+        (runner, simulate), self.folder, self.startup = modules, folder, startup
+        self.policy = runner.Policy(folder)
+        self.policy.begin(startup)
+        self.robot, self.mujoco = simulate.Robot(self.policy.spec, folder / "robot" / "scene.xml"), simulate.mujoco
+        self.gains = self.robot.model.actuator_gainprm.copy(), self.robot.model.actuator_biasprm.copy()
+        self.dt, self.steps = self.policy.spec["step_dt"], 0
+        self.targets: dict | None = None
+        self.inputs: list[tuple] = []
+        self.outputs: list[dict] = []
+        self.upright: list[float] = []
+
+    def readings(self) -> dict:
+        found = self.robot.readings({"base_velocity": np.zeros(3)})
+        wanted = [name for name in self.policy.spec["readings"] if name in found]
+        return {name: np.array(found[name]) for name in (*wanted, "base_quat")}
+
+    def step(self, change: Callable | None = None, held_up: bool = False) -> None:
+        """Advance by one control step; ``change`` returns other inputs, or None to miss the step."""
+        given = (self.readings(), self.steps * self.dt, self.steps * self.dt)
+        given = given if change is None else change(*given)
+        if given is not None:
+            self.targets = self.policy.update(*given)
+            self.inputs.append(given)
+            self.outputs.append(self.targets)
+        model, data = self.robot.model, self.robot.data
+        for now, full in zip((model.actuator_gainprm, model.actuator_biasprm), self.gains, strict=True):
+            now[:] = full * self.targets["gain"]
+        for _ in range(self.policy.spec["decimation"]):
+            self.robot.drive(self.targets)
+            self.mujoco.mj_step(model, data)
+        if held_up:  # A person holds the base.
+            data.qpos[:7] = [*self.policy.spec["root"]["pos"], *self.policy.spec["root"]["quat"]]
+            data.qvel[:6] = 0.0
+        self.steps += 1
+        self.upright.append(self.robot.upright)
+
+    @property
+    def statuses(self) -> list[int]:
+        return [found["status"] for found in self.outputs]
+
+    def check(self) -> None:
+        """Require finite targets within the limits, and the same from C."""
+        spec = self.policy.spec
+        rows = np.stack([self.row(found) for found in self.outputs])
+        assert np.isfinite(rows).all()
+        position, velocity, effort = rows[:, 2:].reshape(len(rows), 3, -1).transpose(1, 0, 2)
+        assert 0 <= rows[:, 1].min() <= rows[:, 1].max() <= 1
+        low, high = np.array(spec["joint_pos_limits"][:4], np.float32).T
+        assert ((position[:, :4] >= low) & (position[:, :4] <= high)).all()
+        assert (np.abs(velocity) <= spec["velocity_limit"]).all()
+        assert (np.abs(effort) <= spec["effort_limit"]).all()
+        if shutil.which("cc"):
+            found = self.in_c()
+            np.testing.assert_array_equal(found[:, 0], rows[:, 0])
+            assert (np.abs(found - rows) / np.maximum(1, np.abs(rows))).max() <= 1e-5
+
+    def row(self, found: dict) -> np.ndarray:
+        targets = [found[name] for name in ("position", "velocity", "effort")]
+        return np.concatenate([[found["status"], found["gain"]], *targets]).astype(np.float32)
+
+    def in_c(self) -> np.ndarray:
+        """Return status, gain, and targets of ``policy_update`` for the same inputs."""
+        if not (self.folder / "driver").exists():
+            command = ["cc", *FLAGS, self.folder / "driver.c", "-o", self.folder / "driver", "-lm"]
+            subprocess.run(command, check=True, timeout=PATIENCE_S)
+        sent = b""
+        for readings, time, now in self.inputs:
+            values = [np.array([round(1e6 * value) for value in (time if time == time else now + 9, now)], np.int64)]
+            values.append(numbers([9.0] * 4 if "projected_gravity" in readings else readings["base_quat"], 4))
+            values += [numbers(readings.get(n), r["width"]) for n, r in self.policy.spec["readings"].items()]
+            sent += b"".join(value.tobytes() for value in values)
+        command = [self.folder / "driver", *["startup"] * self.startup]
+        said = subprocess.run(command, input=sent, capture_output=True, check=True, timeout=PATIENCE_S)
+        return np.frombuffer(said.stdout, np.float32).reshape(len(self.inputs), -1)
+
+
+@np.errstate(all="ignore")
+def numbers(value: object, width: int) -> np.ndarray:
+    """Return a reading as float32, and NaN for a missing one."""
+    return np.array([np.nan] * width if value is None or isinstance(value, str) else value, np.float32)
+
+
+def put(name: str, value: object, *columns: int) -> Callable:
+    """Return a fault that overwrites a reading, or only some columns of it."""
+
+    def change(readings, *times):
+        new = np.array(readings.get(name, [0.0, 0.0, -1.0]), float)
+        new[list(columns)] = value if columns else new[[]]
+        return readings | {name: new if columns else value}, *times
+
+    return change
+
+
+def add(name: str, value: float, column: int) -> Callable:
+    return lambda readings, *times: put(name, readings[name][column] + value, column)(readings, *times)
+
+
+def every(value: float | None) -> Callable:
+    return lambda readings, *times: ({n: value and np.full(len(r), value) for n, r in readings.items()}, *times)
+
+
+NAN, PI2 = np.nan, 2 * np.pi
+STOPS = [HELD] * 3 + [STOPPED]  # more than ``hold_steps`` bad readings
+BACK = [STOPPED, OK]  # after a stop: good readings for ``stopped_s``, 2 steps
+# Each fault: its number of control steps, its change of the inputs, and the statuses from its first step on.
+FAULTS: dict[str, tuple[int, Callable, list[int]]] = {
+    "gyroscope NaN": (3, put("base_ang_vel", NAN, 0, 1, 2), [HELD] * 3 + [OK]),
+    "gravity NaN": (3, put("projected_gravity", NAN, 0, 1, 2), [HELD] * 3 + [OK]),
+    "positions NaN": (3, put("joint_pos", [NAN] * 6), [HELD] * 3 + [OK]),
+    "one speed NaN": (3, put("joint_vel", NAN, 3), [HELD] * 3 + [OK]),
+    "command NaN for good": (130, put("commands.base_velocity", [NAN] * 3), [HELD] * 130),
+    "command beyond its range": (130, put("commands.base_velocity", [9.0, 0.0, 0.0]), [OK] * 130),
+    "all NaN": (3, every(NAN), [HELD] * 3 + [OK]),
+    "inf": (1, put("base_ang_vel", np.inf, 1), [HELD, OK]),
+    "huge": (1, put("joint_vel", 1e300, 4), [HELD, OK]),
+    "beyond the range of the gyroscope": (1, put("base_ang_vel", 36.0, 0), [HELD, OK]),
+    "joint beyond its stop": (1, put("joint_pos", 1.95, 0), [HELD, OK]),
+    "encoder spike": (1, add("joint_pos", 2.0, 4), [HELD, OK]),
+    "wheel encoder wraps for good": (130, add("joint_pos", -PI2, 5), [OK] * 130),
+    "leg encoder wraps for one sample": (1, add("joint_pos", PI2, 2), [OK, OK]),
+    "leg encoder wraps twice for good": (130, add("joint_pos", 2 * PI2, 1), [OK] * 130),
+    "two joints exchanged": (1, lambda r, *t: (r | {"joint_pos": r["joint_pos"][[2, 1, 0, 3, 4, 5]]}, *t), [HELD, OK]),
+    "lost for 1 step": (1, every(None), [HELD, OK]),
+    "lost for 3 steps": (3, every(None), [HELD] * 3 + [OK]),
+    "lost for 10 steps": (10, every(None), STOPS + [STOPPED] * 6 + BACK),
+    "one reading lost for 5 steps": (5, put("joint_vel", None), [*STOPS, STOPPED, *BACK]),
+    "text": (1, put("base_ang_vel", "none"), [HELD, OK]),
+    "old timestamp": (5, lambda r, t, n: (r, (START - 1) / 60, n), [OK, OK, *[HELD] * 3, OK]),
+    "old timestamp for 7 steps": (7, lambda r, t, n: (r, (START - 1) / 60, n), [OK, OK, *STOPS, STOPPED, *BACK]),
+    "same time again": (2, lambda r, t, n: (r, (START - 1) / 60, (START - 1) / 60), [HELD, HELD, LATE, OK]),
+    "time NaN": (1, lambda r, t, n: (r, NAN, n), [HELD, OK]),
+    "time from the future": (1, lambda r, t, n: (r, t + 1.0, n), [HELD, OK]),
+    "1 missed step": (1, lambda *_: None, [LATE, OK]),
+    "2 missed steps": (2, lambda *_: None, [LATE, OK]),
+    "5 missed steps": (5, lambda *_: None, [STOPPED, *BACK]),
+    "clock back by 2 steps": (1, lambda r, t, n: (r, t - 2 / 60, n - 2 / 60), [HELD, LATE, OK]),
+    "clock back by 1 s": (1, lambda r, t, n: (r, t - 1.0, n - 1.0), [HELD, STOPPED, *BACK]),
+    "zero quaternion": (1, put("base_quat", [0.0] * 4), [HELD, OK]),
+    "quaternion of length 1.4": (1, put("base_quat", [1.4, 0.0, 0.0, 0.0]), [OK, OK]),
+    "upside-down for one sample": (1, put("base_quat", [0.0, 1.0, 0.0, 0.0]), [HELD, OK]),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_gives_the_documented_statuses_and_the_robot_stands_2_s_later(name, bundle, modules):
+    steps, change, expected = FAULTS[name]
+    loop = Loop(modules, bundle)
+    loop.robot.data.qvel[4] = 0.5  # The base pitches, so that the fault meets a moving robot.
+    for step in range(STEPS):
+        loop.step(change if START <= step < START + steps else None)
+    assert loop.statuses[:START] == [OK] * START
+    assert loop.statuses[START : START + len(expected)] == expected
+    assert set(loop.statuses[START + len(expected) :]) <= {OK}
+    assert min(loop.upright[-30:]) > np.cos(0.1)
+    loop.check()
+
+
+@pytest.mark.parametrize("startup", [False, True])
+def test_random_garbage_never_gives_targets_beyond_the_limits(startup, bundle, modules):
+    loop, rng = Loop(modules, bundle, startup), np.random.default_rng(0)
+
+    def garbage(readings, time, now):
+        for name in rng.choice([n for n in readings if n != "base_quat"], 2):
+            values = [*rng.normal(0, 10.0 ** rng.integers(-2, 30), 4), NAN, np.inf, 0.0, PI2]
+            column = rng.integers(len(readings[name]))
+            readings = put(str(name), rng.choice(values), int(column))(readings, time, now)[0]
+        late = rng.choice([0.0, 0.0, 0.02, -0.05, 3.0])
+        return readings, time - rng.choice([0.0, 0.0, 0.1]), now + late
+
+    for step in range(600):
+        loop.step(garbage if step % 100 > 80 else None, held_up=step < 300)
+    assert set(loop.statuses) >= ({STARTING} if startup else {OK, HELD, LATE, STOPPED})
+    loop.check()
+
+
+def test_a_fallen_robot_stops_softly_and_runs_again_after_it_was_held_upright(bundle, modules):
+    loop = Loop(modules, bundle)
+    for _ in range(START):
+        loop.step()
+    loop.robot.data.qvel[4] = 25.0
+    while loop.statuses[-1] == OK and loop.steps < 200:
+        before = loop.targets
+        loop.step()
+    assert loop.statuses[-1] == FALLEN
+    for _ in range(40):
+        loop.step()
+    ramp = np.array([found["gain"] for found in loop.outputs[-41:]])
+    np.testing.assert_allclose(ramp[:30], 1 - 0.8 * np.arange(1, 31) / 30, atol=1e-6)  # 0.5 s at 60 Hz
+    np.testing.assert_allclose(ramp[30:], 0.2, atol=1e-6)
+    halfway = loop.outputs[-41 + 14]
+    np.testing.assert_allclose(halfway["velocity"], before["velocity"] / 2, atol=1e-4)
+    np.testing.assert_allclose(loop.targets["velocity"], 0.0)
+    np.testing.assert_allclose(loop.targets["position"][:4], loop.policy.spec["default_joint_pos"][:4], atol=1e-6)
+    assert set(loop.statuses[-40:]) == {FALLEN}
+    lifted = loop.steps
+    while loop.statuses[-1] == FALLEN and loop.steps < lifted + 200:
+        loop.step(held_up=True)
+    assert loop.steps - lifted >= 60, "fallen_s"
+    for _ in range(120):
+        loop.step()
+    assert (loop.statuses[-1], loop.targets["gain"]) == (OK, 1.0)
+    assert min(loop.upright[-30:]) > np.cos(0.1)
+    loop.check()
+
+
+def test_the_start_up_rests_lifts_and_runs(bundle, modules):
+    loop = Loop(modules, bundle, startup=True)
+    pose = [0.5, 0.5, -1.0, -1.0, 40.0, 2.0]
+    loop.robot.data.qpos[loop.robot.qpos] = pose
+    moving = put("joint_vel", 0.6, 0)  # not still
+    while loop.steps < 400 and OK not in loop.statuses:
+        loop.step(moving if loop.steps < 60 else None, held_up=True)
+    gains = np.array([found["gain"] for found in loop.outputs])
+    assert loop.statuses[:-1] == [STARTING] * (loop.steps - 1)
+    first = int(np.argmax(gains > 0))  # The legs swing before they rest for 1 s, and the fault lasts for 60 steps.
+    speeds = [np.abs(readings["joint_vel"]).max() for readings, *_ in loop.inputs[: first + 1]]
+    assert first >= 119
+    assert max(speeds[first - 59 :]) <= 0.5 < speeds[first - 60]
+    np.testing.assert_allclose(gains[first : first + 120], np.arange(1, 121) / 120, atol=1e-6)  # 2 s
+    np.testing.assert_allclose(loop.outputs[0]["position"], pose, atol=1e-6)
+    lifted = loop.outputs[first + 119]["position"]
+    np.testing.assert_allclose(lifted[:4], loop.policy.spec["default_joint_pos"][:4], atol=1e-6)
+    for _ in range(120):
+        loop.step()
+    assert set(loop.statuses[-120:]) == {OK}
+    assert min(loop.upright[-30:]) > np.cos(0.1)
+    loop.check()
+
+
+@pytest.mark.parametrize("builder", ["cmake", "cc"])
+@NEEDS_CC
+def test_the_example_prints_the_log_of_the_runner(builder, bundle, modules, tmp_path):
+    if shutil.which(builder) is None:
+        pytest.skip(f"there is no {builder}")
+    program, example = tmp_path / "policy_example", bundle / "example"
+    commands = {
+        "cmake": [["cmake", "-S", example, "-B", tmp_path], ["cmake", "--build", tmp_path]],
+        "cc": [["cc", "-std=c99", f"-I{bundle}", example / "main.c", "-o", program, "-lm"]],
+    }
+    for command in commands[builder]:
+        subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
+    lines = (example / "readings.csv").read_text().splitlines()
+    lines[5] = lines[5].split(",")[0] + "," * lines[5].count(",")  # All readings of a step are missing.
+    del lines[8]
+    (tmp_path / "faults.csv").write_text("\n".join(lines) + "\n")
+    said = subprocess.run([program, tmp_path / "faults.csv"], capture_output=True, text=True, timeout=PATIENCE_S)
+    found = list(csv.reader(said.stdout.splitlines()))
+    runner, _ = modules
+    policy = runner.Policy(bundle)
+    policy.begin(startup=False)
+    log = runner.Log(tmp_path / "log.csv", policy)
+    for line in lines[1:]:
+        time, *values = [float(field or "nan") for field in line.split(",")]
+        ends = np.cumsum([known["width"] for known in policy.spec["readings"].values()])
+        readings = dict(zip(policy.spec["readings"], np.split(values, ends[:-1]), strict=True))
+        log.write(time, readings, policy.update(readings, time))
+    with (tmp_path / "log.csv").open() as file:
+        wanted = list(csv.reader(file))
+    assert found[0] == wanted[0][:-1]
+    assert wanted[0][-1] == "reset"
+    assert {"time", "joint_pos.l01", "base_ang_vel.x", "commands.base_velocity.0", "target_velocity.r03"} < set(
+        found[0]
+    )
+    assert [row[-1] for row in wanted[1:]] == ["1"] + ["0"] * (len(wanted) - 2)
+    np.testing.assert_allclose(np.array(found[1:], float), np.array(wanted[1:], float)[:, :-1], rtol=1e-5, atol=1e-5)
+    statuses = [int(row[found[0].index("status")]) for row in found[1:]]
+    assert (statuses[4], statuses[7], sum(statuses)) == (HELD, LATE, HELD + LATE)
+    assert subprocess.run([program, "none.csv"], capture_output=True, timeout=PATIENCE_S).returncode == 1
+
+
+@NEEDS_CC
+def test_a_header_in_single_precision_calls_no_double_function(bundle, tmp_path):
+    spec = json.loads((bundle / "policy.json").read_text())
+    kinds = ["elu", "selu", "tanh", "sigmoid", "softplus", "swish", "leaky_relu"]
+    spec["network"] |= {"widths": [6] * len(kinds), "activations": kinds, "normalized": True}
+    arrays = {"mean": np.zeros(135, np.float32), "deviation": np.ones(135)}
+    for k in range(len(kinds)):
+        arrays |= {f"weight_{k}": np.zeros((6, 6 if k else 135), np.float32), f"bias_{k}": np.zeros(6, np.float32)}
+    (tmp_path / "policy.h").write_text(c_header(spec, arrays))
+    (tmp_path / "driver.c").write_text(DRIVER)
+    command = ["cc", *FLAGS, "-O0", "-DPOLICY_REAL=float", "-Wdouble-promotion", "-c", "driver.c", "-o", "driver.o"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S)
+    object_file = (tmp_path / "driver.o").read_bytes()
+    for name in (b"exp", b"expm1", b"tanh", b"log1p"):
+        assert b"\0" + name + b"f\0" in object_file
+        assert b"\0" + name + b"\0" not in object_file
