@@ -45,10 +45,10 @@ static inline void policy_accept(policy_guard *g, const float *values, int k, in
         for (i = 0; i < width; i++) length += x[i] * x[i];
         length = sqrtf(length);
         good = length >= policy_norm[2 * k] && length <= policy_norm[2 * k + 1];
-        for (i = 0; good && i < width; i++) x[i] /= length;
+        for (i = 0; good && fabsf(length - 1.0f) > 1e-6f && i < width; i++) x[i] /= length;
     }
     for (i = 0; good && i < width; i++) {
-        float most = policy_max_jump[start + i] * (float)g->gap[k];
+        float most = policy_max_jump[start + i] * (float)g->gap[k]; /* A value that persists becomes good. */
         wraps[i] = 0.0f;
         if (check == POLICY_COMMAND) x[i] = policy_clip(x[i], policy_low[start + i], policy_high[start + i]);
         if (check == POLICY_ENCODER) {
@@ -63,8 +63,7 @@ static inline void policy_accept(policy_guard *g, const float *values, int k, in
         if (x[i] < policy_low[start + i] || x[i] > policy_high[start + i]) good = 0;
     }
     g->held[k] = good && !jumped ? 0 : policy_added(g->held[k], steps);
-    /* After a long loss, jumps count from the newest value. */
-    if (good && (!jumped || g->held[k] > POLICY_HOLD_STEPS)) {
+    if (good && !jumped) {
         memcpy(last, x, (size_t)width * sizeof(float));
         for (i = 0; check == POLICY_ENCODER && i < width; i++) g->turns[i] -= wraps[i];
         g->gap[k] = 0;

@@ -26,6 +26,7 @@ F = np.float32
 TARGETS = ("position", "velocity", "effort")
 TURN = F(2 * np.pi)
 OK, NOT_FINITE, HELD, LATE, FALLEN, STOPPED, STARTING = range(7)  # ``safety.status`` of policy.json explains them.
+ROUNDING = F(1e-6)
 MOST_STEPS = 10_000  # A longer pause counts as this number of control steps.
 LARGEST = 2.0**64  # Sensor readings above 2**64 are rejected, because their float32 sums could overflow.
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
@@ -56,7 +57,7 @@ def gravity_or_zeros(quat: Any) -> np.ndarray:
     """Return ``projected_gravity``; return zeros, a bad reading, if ``quat`` has no length between 0.5 and 1.5."""
     try:
         x = np.array(quat, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.zeros(3, F)
     good = x.shape == (4,) and (np.abs(x) < LARGEST).all() and 0.5 <= np.linalg.norm(x) <= 1.5
     return projected_gravity(x) if good else np.zeros(3, F)
@@ -170,7 +171,7 @@ class Reading:
         """Check the values of a control step, ``steps`` after the previous ones; store them unless they are bad."""
         try:
             x: Any = np.array(values, F)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             x = np.zeros(0, F)
         turns, jumped = self.turns, False
         self.gap = min(self.gap + steps, MOST_STEPS) if self.gap >= 0 else -1
@@ -178,24 +179,25 @@ class Reading:
         if good and self.kind == "unit_vector":
             length = np.sqrt(np.sum(x * x, dtype=F))
             good = bool(F(self.norm[0]) <= length <= F(self.norm[1]))
-            x = x / length if good else x
+            x = x / length if good and abs(length - 1) > ROUNDING else x  # Good readings are not changed by rounding.
         elif good and self.kind == "command":
             x = np.clip(x, self.low, self.high)
         elif good and self.kind == "encoder":
             x = x + TURN * turns
         if good and self.gap >= 0:
-            most = self.jump * F(self.gap)
+            most = self.jump * F(self.gap)  # A value that persists becomes good, because its gap grows.
             if self.kind == "encoder":  # An encoder's angle that jumps by about a whole turn has wrapped around.
                 most = np.minimum(most, F(np.pi))
                 wraps = np.where(np.abs(x - self.last) > most, np.floor((x - self.last) / TURN + F(0.5)), F(0))
                 x, turns = x - TURN * wraps, turns - wraps
             jumped = bool((np.abs(x - self.last) > most).any())
         good = good and bool(((self.low <= x) & (x <= self.high)).all())
-        self.held = 0 if good and not jumped else min(self.held + steps, MOST_STEPS)
-        if good and (not jumped or self.held > hold_steps):  # After a long loss, jumps count from the newest value.
-            self.last, self.turns, self.gap = x, turns, 0
-        elif self.kind == "command" and self.held > hold_steps:
-            self.last = np.zeros_like(x, shape=self.last.shape)
+        if good and not jumped:
+            self.last, self.turns, self.gap, self.held = x, turns, 0, 0
+            return
+        self.held = min(self.held + steps, MOST_STEPS)
+        if self.kind == "command" and self.held > hold_steps:
+            self.last = np.zeros_like(self.last)
 
 
 class Policy:
