@@ -224,6 +224,23 @@ def test_a_bundle_below_its_run_is_of_the_run_and_the_command_tells_what_it_made
     assert wheelleg("verify", run.path).status == 1
 
 
+def test_the_bundle_and_the_command_show_the_margins_of_the_checkpoint(run):
+    assert "Not measured" in (exported(run).folder / "README.md").read_text()
+    sha = job.sha256(run.latest_checkpoint())
+    for kind, delay, checkpoint in (
+        ("evaluation", 0.05, sha),
+        ("evaluation", 0.9, "0" * 64),
+        ("reference", 0.0625, None),
+    ):
+        results = {"checkpoint_sha256": checkpoint, "metrics": {"robust/margin/delay": delay, "robust/survival": 1.0}}
+        run.manifest().add(kind, [], results, command=["wheelleg"])
+    made = exported(run)
+    assert [(margin.policy, margin.reference) for margin in made.margins] == [(0.05, 0.0625)]
+    assert spec_of(made.folder)["margins"] == [made.margins[0]._asdict()]
+    assert "| delay of the actions | 0.05 | 0.0625 | s |" in (made.folder / "README.md").read_text()
+    assert "largest survived delay of the actions: 0.05 s" in succeed("export", run.path).out
+
+
 def test_a_bundle_outlives_a_resume_of_its_run_and_what_a_killed_export_left_does_not(run):
     made = exported(run)
     left = run.exported / ".bundle.0123456789ab.tmp"

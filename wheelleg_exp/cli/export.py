@@ -34,11 +34,14 @@ def run(args: argparse.Namespace) -> int:
     made = export(directory, checkpoint, args.output, args.command, args.format)
     if args.json:
         found = {"run": str(directory.path), "checkpoint": str(made.checkpoint), "folder": str(made.folder)}
-        print_json({**found, "largest_difference": made.differences, "lacks": made.notes})
+        margins = [margin._asdict() for margin in made.margins]
+        print_json({**found, "largest_difference": made.differences, "lacks": made.notes, "margins": margins})
         return EXIT_OK
     print(f"exported {shown(made.checkpoint)} to {shown(made.folder)}")
     differences = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
     print(f"largest difference of a step from the simulation: {differences}")
+    for margin in made.margins:
+        print(f"largest survived {margin.name}: {margin.policy:.3g} {margin.unit}")
     for note in made.notes:
         print(f"it lacks {note}")
     python = f"python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)"

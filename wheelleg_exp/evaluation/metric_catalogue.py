@@ -405,18 +405,18 @@ def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
     test, changed = "robust", partial(differing, column="sweep", value="nominal")
     sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
     yield Metric("robust/survival", test, ("survived",), mean, "", "higher", changed)
-    for sweep, value in sweeps:
-        name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
-        rows = partial(matching, sweep=sweep, value=value)
-        yield Metric(f"{name}/survival", test, ("survived",), mean, "", "higher", rows)
-        yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
-        yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
     yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
     nominal = partial(matching, sweep="nominal")
     for column in (name for name in columns if name.startswith("margin_")):
         name = column.removeprefix("margin_")
         unit = _MARGIN_UNITS.get(name, "")
         yield Metric(f"robust/margin/{name.removesuffix('_s')}", test, (column,), mean, unit, "higher", nominal)
+    for sweep, value in sweeps:
+        name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
+        rows = partial(matching, sweep=sweep, value=value)
+        yield Metric(f"{name}/survival", test, ("survived",), mean, "", "higher", rows)
+        yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
+        yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
 
 
 _WITHOUT_OPTIONS: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {

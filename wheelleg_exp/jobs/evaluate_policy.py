@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -264,6 +264,43 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
         if (*made, run_overrides(content.get("overrides") or [])) == asked:
             return folder
     return None
+
+
+# ``MARGINS`` maps the margins that reports and bundles show to their names and units.
+MARGINS = {
+    "robust/margin/delay": ("delay of the actions", "s"),
+    "robust/margin/noise": ("noise of the sensors", "times noise_std"),
+    "robust/margin/kick": ("kick forwards or backwards", "m/s"),
+    "robust/margin/slope": ("slope of the floor", "rad"),
+}
+
+
+class Margin(NamedTuple):
+    """The largest change of one property that a policy survives, and that of the reference controller if measured."""
+
+    name: str
+    unit: str
+    policy: float
+    reference: float | None
+
+
+def margins_of(additions: Sequence[Mapping[str, Any]], checkpoint_sha256: str | None = None) -> list[Margin]:
+    """Return the margins that a run's newest evaluation of margins measured; [] without such an evaluation.
+
+    ``additions`` are the entries of the run's manifest. With ``checkpoint_sha256``, only evaluations of this checkpoint
+    count.
+    """
+    newest: dict[str, dict[str, float]] = {}
+    for entry in additions:
+        kind, results = entry.get("kind"), entry.get("results")
+        results = results if isinstance(results, Mapping) else {}
+        is_wanted = kind == Reference.name or checkpoint_sha256 in (None, results.get("checkpoint_sha256"))
+        metrics = results.get("metrics") if is_wanted and kind in ("evaluation", Reference.name) else None
+        found = {name: metrics.get(name) for name in MARGINS} if isinstance(metrics, Mapping) else {}
+        numbers = {name: value for name, value in found.items() if isinstance(value, (int, float))}
+        newest |= {str(kind): numbers} if numbers else {}
+    mine, reference = (newest.get(kind, {}) for kind in ("evaluation", Reference.name))
+    return [Margin(*MARGINS[name], value, reference.get(name)) for name, value in mine.items()]
 
 
 def _figure(value: Mapping[str, Any]) -> Figure:

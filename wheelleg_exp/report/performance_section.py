@@ -295,7 +295,7 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
     if entry is None:
         return []
     from wheelleg_exp.inspection.evaluation_plots import panels
-    from wheelleg_exp.jobs.evaluate_policy import EPISODES, RESULT, read_content, read_episodes
+    from wheelleg_exp.jobs.evaluate_policy import EPISODES, RESULT, margins_of, read_content, read_episodes
 
     recorded = [str(name) for name in entry.get("files", {})]
     files = {kind: next((n for n in recorded if n.endswith(f"/{kind}")), None) for kind in (RESULT, EPISODES)}
@@ -316,6 +316,12 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
         found += [drawn(plots[test], f"evaluation-{test}", paired=True)] if test in plots else []
         if rest := listed[_SHOWN_FIRST:]:
             found.append(More(f"More of {title.lower()}", [_table(title, content["metrics"], reference, rest)]))
+    if margins := margins_of(subject.manifest.get("additions", [])):
+        rows = [
+            [Cell(f"{capital(name)}, {unit}"), Cell(number(policy), number=True), Cell(number(other), number=True)]
+            for name, unit, policy, other in margins
+        ]
+        found.append(Table("Largest change that 95 % of the episodes survive", ("Change", "Policy", "Reference"), rows))
     for compared in subject.additions("comparison")[-1:]:
         verdict = compared["results"].get("verdict") if isinstance(compared.get("results"), Mapping) else None
         found += [Text(verdict)] if verdict else []

@@ -153,6 +153,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
         "target for the whole control step: torque = stiffness (position - q) + damping (velocity - q̇) + effort, "
         "within the effort limit.",
         *_trained_with(spec),
+        *_margins(spec),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -242,6 +243,16 @@ def _law(term: Mapping[str, Any], index: int) -> str:
     if term.get("rescale"):
         lines += f", [-1, 1] spread over [{_number(term['low'][index])}, {_number(term['high'][index])}]"
     return lines + (f", moving average with weight {term['alpha'][index]:.6g}" if "alpha" in term else "")
+
+
+def _margins(spec: Mapping[str, Any]) -> list[str]:
+    """Return the section about the largest changes that the policy survived in simulation."""
+    head = "## Margins\n\n"
+    if not spec["margins"]:
+        return [head + "Not measured: run `wheelleg evaluate RUN protocol=robust` before the export."]
+    rows = [(row["name"], _number(row["policy"]), _number(row["reference"]), row["unit"]) for row in spec["margins"]]
+    text = "The largest changes that 95 % of the episodes survive in simulation, each alone (`protocol=robust`)."
+    return [head + text, _table(("change", "policy", "reference controller", "unit"), rows)]
 
 
 def _trained_with(spec: Mapping[str, Any]) -> list[str]:

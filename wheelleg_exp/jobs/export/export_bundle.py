@@ -21,6 +21,7 @@ import numpy as np
 import onnx
 
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.realism import without_realism
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import (
     dump_json,
@@ -33,6 +34,7 @@ from wheelleg_exp.files import (
     write_json,
     write_text,
 )
+from wheelleg_exp.jobs.evaluate_policy import Margin, margins_of
 from wheelleg_exp.jobs.export import bundle
 from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.bundle_check import READING, TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
@@ -78,6 +80,7 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
     The checked simulation has no noise, delays, encoder errors, pushes, or randomization of the robot. Wheel joints
     start at their default positions, because the exported ``runner.py`` counts wheel angles from the reset.
     """
+    env = without_realism(env)
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
     found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] == "reset"}
@@ -88,9 +91,9 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
     for group in (group for group in found["observations"].values() if group is not None):
         group["enable_corruption"] = False
         for node in (node for node in group["terms"].values() if node is not None):
-            node.pop("delay", None)
+            node |= {"delay": None, "delay_jitter": 0}
     for node in (node for node in found["actions"].values() if node is not None):
-        node.pop("delay", None)
+        node |= {"delay": None, "delay_jitter": 0}
     return found
 
 
@@ -143,6 +146,7 @@ class Exported:
     folder: Path
     differences: Mapping[str, float]  # maps each policy file to its largest action difference from the trained policy
     notes: Sequence[str]  # Each text explains why a file or feature is missing in the exported folder.
+    margins: Sequence[Margin]  # the margins that evaluations of the checkpoint measured
 
 
 def export(
@@ -162,7 +166,8 @@ def export(
         require_new(output)
     target = run.exported / kind if output is None else output.absolute()
     with for_people(target), temporary_folder(target) as work:
-        differences, notes = _fill(work, run, checkpoint, kind)
+        margins = margins_of(run.manifest().data["additions"], sha256(checkpoint))
+        differences, notes = _fill(work, run, checkpoint, kind, margins)
         sync_folder(work)
         number, place = 1, target
         while place.exists() or place.is_symlink():
@@ -182,10 +187,12 @@ def export(
         except BaseException:  # Remove an exported folder that the run's manifest does not list.
             shutil.rmtree(folder, ignore_errors=True)
             raise
-    return Exported(run, checkpoint, folder, differences, notes)
+    return Exported(run, checkpoint, folder, differences, notes, margins)
 
 
-def _fill(folder: Path, run: RunDirectory, checkpoint: Path, kind: str) -> tuple[dict[str, float], list[str]]:
+def _fill(
+    folder: Path, run: RunDirectory, checkpoint: Path, kind: str, margins: Sequence[Margin]
+) -> tuple[dict[str, float], list[str]]:
     """Write all files of the exported folder; return the fields ``differences`` and ``notes`` of ``Exported``."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
@@ -210,7 +217,7 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path, kind: str) -> tuple
     origin |= {"checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
     spec = {"format_version": spec.pop("format_version"), "run": origin, **spec}
     about = {"file": "check.npz", "steps": steps, "tolerance": TOLERANCE, "tolerance_float32": TOLERANCE_FLOAT32}
-    spec |= {"network": network, "check": about}
+    spec |= {"network": network, "check": about, "margins": [margin._asdict() for margin in margins]}
     if kind == LEAPP:
         return write_leapp(folder, spec, plain, policy.as_onnx(verbose=False), recorded)
     write_bytes(folder / "policy.npz", _npz(arrays))
