@@ -1,0 +1,301 @@
+"""Compare a robot's log with a run's policy and with a simulation, and name the faults that explain the differences.
+
+Every possible fault of ``log_faults`` is a hypothesis. For each hypothesis, the simulation predicts the readings of
+windows of 0.1 s, starting from the log's readings as the hypothesis explains them. The spread of a column's errors is
+1.48 times the median of their absolute values, which a few pushes do not change. The score of a hypothesis is the sum
+of log(spread without the fault / spread with the fault) over all columns. The fault with the highest score is a finding
+if its score is high enough; the search is then repeated with the log explained by this fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from wheelleg_exp.jobs.export.bundle.runner import Policy, projected_gravity
+from wheelleg_exp.robot_logs.log_faults import Fault, possible_faults
+from wheelleg_exp.robot_logs.log_simulation import LogSimulation, Sensing, channels
+from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of
+from wheelleg_exp.sim.rotation import quat_to_matrix
+
+_READINGS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity")
+_SMALLEST = dict(zip(_READINGS, (2e-4, 5e-3, 3e-3, 5e-4), strict=True))  # Smaller spreads of errors do not count.
+_SMALLEST_SHARE = 0.02  # of a column's motion in 0.1 s
+# The largest ordinary noise (standard deviation) is the noise that velocity tasks of mjlab and Isaac Lab train with.
+_NOISE = dict(zip(_READINGS, (0.006, 0.9, 0.12, 0.03), strict=True))
+_NOISE_RATIO, _NOISE_SHARE = 5.0, 0.1
+_LEAST_SCORE, _LEAST_SCORE_OF_OFFSETS, _CERTAIN = 0.8, 0.2, 0.8
+_FEW, _MANY, _LEAST_WINDOWS, _ROUNDS, _ENVS = 60, 240, 10, 4, 512
+_POLICY_TOLERANCE, _SMALLEST_TARGET = 0.02, 1e-3
+_HELD_ROWS, _HELD_SHARE, _HELD_JUMP = 3, 0.01, 5.0
+
+
+@dataclass(frozen=True)
+class LogFinding:
+    """One difference between the log and the policy or the simulation."""
+
+    kind: str
+    columns: tuple[str, ...]
+    wrong: str
+    evidence: str
+    change: str
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class LogReport:
+    """The result of a comparison: findings, questions that the log cannot answer, and predicted readings for plots.
+
+    ``time`` (R,), ``logged``, ``simulated`` and ``corrected`` (R, C) contain the rows of all simulated windows; the
+    simulation starts from the log's readings, or from the readings as the findings correct them.
+    """
+
+    rows: int
+    windows: int
+    findings: list[LogFinding]
+    undecided: list[str]
+    columns: list[str]
+    time: Numbers
+    logged: Numbers
+    simulated: Numbers
+    corrected: Numbers
+    policy_difference: float
+
+    def document(self) -> dict[str, Any]:
+        """Return the report without the predicted readings, as a JSON document."""
+        facts = {"rows": self.rows, "windows": self.windows, "policy_difference": self.policy_difference}
+        findings = [{**vars(finding), "columns": list(finding.columns)} for finding in self.findings]
+        return {**facts, "findings": findings, "cannot_tell": self.undecided}
+
+
+def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Path) -> LogReport:
+    """Compare a log with the policy in the folder ``bundle``, and with the robot of a run's ``env`` config ``params``."""
+    policy = Policy(bundle)
+    log, findings = with_imu(log, policy.spec)
+    names = policy.spec["joint_names"]
+    columns = channels(names)
+    logged = log.table(columns)
+    findings += [*clock_findings(log, policy.spec["step_dt"]), *held_findings(log, columns), *noise_findings(log, columns)]
+    if any(finding.kind in ("time", "stale") for finding in findings):
+        # A simulation from readings of the wrong time would blame the wrong column.
+        difference = replay_difference(log, policy, logged)
+        empty = np.empty((0, len(columns)))
+        undecided = ["whether the readings fit the simulation, before the findings are repaired"]
+        return LogReport(len(log), 0, findings, undecided, columns, empty[:, 0], empty, empty, empty, difference[0])
+    simulation = LogSimulation(params, mjcf, _ENVS)
+    search = _Search(log, simulation, columns)
+    groups = [list(group.joint_names) for group in simulation.robot.actuators.values()]
+    # A noisy column would make a wrong scale, offset, or gain look better, because noise is not predictable.
+    noisy = {finding.columns[0].split(".")[1] for finding in findings if finding.kind == "noise"}
+    possible = [
+        fault
+        for fault in possible_faults(names, policy.spec["rolling_joints"], groups)
+        if not (fault.is_fitted and noisy.intersection(column.split(".")[1] for column in fault.columns))
+    ]
+    found = search.faults(possible)
+    true = search.accepted.true_values(logged, np.arange(len(log)))[0]
+    difference, worst = replay_difference(log, policy, logged)
+    corrected = replay_difference(log, policy, true)[0] if found else difference
+    repaired = difference > _POLICY_TOLERANCE >= corrected
+    note = "; the policy's targets for the corrected readings are the sent targets" if repaired else ""
+    findings += [replace(finding, evidence=finding.evidence + note) for finding in found]
+    if not difference <= _POLICY_TOLERANCE and not repaired and any(finding.kind != "gain" for finding in findings):
+        # Histories and integrals of the policy amplify the errors that remain in corrected readings.
+        search.undecided.append("policy: whether the sent targets are its output, before the findings are repaired")
+    elif not difference <= _POLICY_TOLERANCE and not repaired:
+        wrong = "the sent targets are not the policy's output for the logged readings"
+        evidence = f"{worst}: the difference is {100 * difference:.3g} % of the column's variation (RMS)"
+        change = "send the targets of this run's exported policy, call reset at each start, and log what the policy got"
+        findings.append(LogFinding("policy", (worst,), wrong, evidence, change, difference))
+    return search.report(findings, difference)
+
+
+def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[LogFinding]]:
+    """Return the log with ``base_ang_vel`` and ``projected_gravity`` from ``base_quat`` or from the readings of an IMU."""
+    columns, findings = dict(log.columns), []
+    for name, imu in spec["imus"].items():
+        turn = quat_to_matrix(torch.tensor(imu["quat"], dtype=torch.float64)).numpy()
+        for reading, theirs in (("base_ang_vel", "ang_vel"), ("projected_gravity", "projected_gravity")):
+            source, target = columns_of(f"{name}.{theirs}", 3, ()), columns_of(reading, 3, ())
+            if log.has(source) and not log.has(target):
+                columns |= dict(zip(target, (log.table(source) @ turn.T).T, strict=True))
+    quaternion, gravity = columns_of("base_quat", 4, ()), columns_of("projected_gravity", 3, ())
+    if log.has(quaternion) and gravity[0] not in columns:
+        quats, gyro = log.table(quaternion), log.table(columns_of("base_ang_vel", 3, ()))
+        orders = [np.array([projected_gravity(quat) for quat in np.roll(quats, shift, axis=1)]) for shift in (0, 1)]
+        errors = [float(np.median(np.abs(np.diff(g, axis=0) + np.cross(gyro, g)[1:] * spec["step_dt"]))) for g in orders]
+        upright = [float(-np.median(g[:, 2])) for g in orders]
+        exchanged = upright[1] > 0.5 and (upright[0] < 0.5 or errors[1] < 0.5 * errors[0])
+        columns |= dict(zip(gravity, orders[exchanged].T.astype(np.float64), strict=True))
+        if exchanged:
+            evidence = f"the gravity of (x, y, z, w) points down by {upright[1]:.3f}, that of (w, x, y, z) by {upright[0]:.3f}"
+            wrong, change = "the quaternion base_quat is in the order (x, y, z, w)", "reorder base_quat to (w, x, y, z)"
+            findings.append(LogFinding("order", tuple(quaternion), wrong, evidence, change))
+    return RobotLog(log.path, columns), findings
+
+
+def clock_findings(log: RobotLog, step_dt: float) -> list[LogFinding]:
+    """Return a finding if the typical time between rows is not the control step."""
+    step = float(np.median(np.diff(log.time)))
+    if abs(step - step_dt) <= 0.1 * step_dt:
+        return []
+    evidence = f"the median time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
+    return [LogFinding("time", ("time",), "the log's rows are not control steps", evidence, "log each step, in s", step)]
+
+
+def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
+    """Return a finding for each sensor that repeats its values although it moves by much more than its resolution."""
+    findings = []
+    for reading in dict.fromkeys(column.split(".")[0] for column in columns):
+        parts = [column for column in columns if column.startswith(f"{reading}.")]
+        sensors = [(part,) for part in parts] if reading.startswith("joint_") else [tuple(parts)]
+        for sensor in sensors:
+            change = np.abs(np.diff(log.table(sensor), axis=0)).max(axis=1)
+            moves = np.flatnonzero(change > 0)
+            ends = np.concatenate(([-1], moves, [len(change)]))
+            held = np.diff(ends) - 1  # how many rows repeat the row before, between two changes of the value
+            jumps = np.append(change[moves], np.inf)
+            resolution = float(change[moves].min(initial=np.inf))
+            stale = held[(held >= _HELD_ROWS - 1) & (jumps > _HELD_JUMP * resolution)].sum()
+            if stale > _HELD_SHARE * len(change):
+                wrong = f"{' '.join(sensor)} {'repeats' if len(sensor) == 1 else 'repeat'} old values"
+                evidence = f"{stale} of {len(log)} rows repeat the row before, {held.max()} in succession"
+                change_ = "read the sensor in each control step, and treat old values as missing"
+                findings.append(LogFinding("stale", sensor, wrong, evidence, change_, float(stale / len(change))))
+    return findings
+
+
+def noise_of(values: Numbers) -> Numbers:
+    """Return the standard deviation of the white noise in columns (T, C), from their third differences, (C,).
+
+    The third difference of white noise has 1 + 9 + 9 + 1 = 20 times its variance; slow motion almost vanishes in it.
+    """
+    return np.sqrt(np.median(np.diff(values, n=3, axis=0) ** 2, axis=0) / 0.4549 / 20)
+
+
+def noise_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
+    """Return a finding for each column with more noise than ordinary sensors, or than the other columns of its kind."""
+    findings, noise = [], dict(zip(columns, noise_of(log.table(columns)), strict=True))
+    for column, level in noise.items():
+        reading = column.split(".")[0]
+        alike = float(np.median([noise[other] for other in columns if other.split(".")[0] == reading]))
+        scale = np.pi * 10 if np.abs(log.columns[column]).max() > 100 else 1.0  # Degrees and rpm have larger numbers.
+        exceeds = level > _NOISE_RATIO * alike and level > _NOISE_SHARE * _NOISE[reading]
+        if level > 1.5 * _NOISE[reading] * scale or exceeds:
+            evidence = f"its noise is {level:.3g} (standard deviation); similar columns have {alike:.3g}"
+            change = "check the sensor, its wiring and its filter, or train with this noise"
+            findings.append(LogFinding("noise", (column,), f"{column} is noisy", evidence, change, float(level)))
+    return findings
+
+
+def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[float, str]:
+    """Return the largest difference of the policy's targets from the sent targets, and its column.
+
+    The difference of a column is the RMS of its errors, divided by its standard deviation. ``true`` (T, C) replaces the
+    log's readings of joints and IMU.
+    """
+    spec, channel_ids = policy.spec, {name: i for i, name in enumerate(channels(policy.spec["joint_names"]))}
+    tables = {}
+    for name, known in spec["readings"].items():
+        names = columns_of(name, known["width"], spec["joint_names"])
+        is_channel = all(column in channel_ids for column in names)
+        tables[name] = true[:, [channel_ids[column] for column in names]] if is_channel else log.table(names)
+    starts, sent, found = log.starts(spec["step_dt"]), [], []
+    resets = log.columns.get("reset", starts) > 0
+    resets[0] = True
+    for row in np.flatnonzero(log.accepted):
+        if resets[row]:
+            policy.reset()
+        try:
+            targets = policy.step({name: table[row] for name, table in tables.items()})
+        except ValueError as error:
+            raise LogError(f"the policy rejects row {row}: {error}", key=str(log.path)) from error
+        found.append(np.concatenate([targets[kind] for kind in TARGETS]))
+        sent.append(row)
+    columns = [f"target_{kind}.{name}" for kind in TARGETS for name in spec["joint_names"]]
+    known = [i for i, column in enumerate(columns) if column in log.columns]
+    if not known:
+        raise LogError("the log has no column of sent targets", key=str(log.path), expected=columns[0])
+    logged = log.table([columns[i] for i in known])[sent]
+    errors = np.sqrt(np.mean((np.stack(found)[:, known] - logged) ** 2, axis=0))
+    shares = errors / np.maximum(logged.std(axis=0), _SMALLEST_TARGET)
+    worst = int(np.argmax(np.nan_to_num(shares, nan=np.inf)))
+    return float(shares[worst]), columns[known[worst]]
+
+
+class _Search:
+    """The search for the faults that explain a log; ``accepted`` is the sensing model of the faults found so far."""
+
+    def __init__(self, log: RobotLog, simulation: LogSimulation, columns: list[str]) -> None:
+        self.log, self.simulation, self.columns = log, simulation, columns
+        self.accepted = Sensing.identity(1, len(columns), len(simulation.robot.joint_names))
+        self.starts = simulation.windows(log, _MANY)
+        if len(self.starts) < _LEAST_WINDOWS:
+            message = f"the log has only {len(self.starts)} gapless pieces of 0.1 s"
+            raise LogError(message, key=str(log.path), expected=f"at least {_LEAST_WINDOWS}, rows one control step apart")
+        logged = log.table(columns)
+        motion = (logged[self.starts + simulation.length] - logged[self.starts]).std(axis=0)
+        floors = np.array([_SMALLEST[column.split(".")[0]] for column in columns])
+        self.floors = np.maximum(floors, _SMALLEST_SHARE * motion)
+        self.undecided: list[str] = []
+
+    def faults(self, possible: Sequence[Fault]) -> list[LogFinding]:
+        """Return the findings that explain the log, one after another; update ``accepted`` and ``undecided``."""
+        findings: list[LogFinding] = []
+        few = self.simulation.windows(self.log, _FEW)
+        for _ in range(_ROUNDS):
+            scores, _ = self.scores(possible, few)
+            order = np.argsort(-(scores + 0.3 * np.array([not fault.is_fitted for fault in possible])))
+            best = self.fitted([possible[i] for i in order[:12]])
+            score, spreads = self.scores([best], self.starts)
+            least = _LEAST_SCORE_OF_OFFSETS if best.kind == "offset" else _LEAST_SCORE
+            known = any((finding.kind, finding.columns) == (best.kind, best.columns) for finding in findings)
+            if known or score[0] < least or abs(best.value - best.neutral) < best.least:
+                break
+            findings.append(self.finding(best, spreads))
+            self.accepted = best.sensing.after(self.accepted)
+        doubtful = [f for f, s in zip(possible, scores, strict=True) if abs(s) < _CERTAIN and not f.is_fitted]
+        self.undecided = list(dict.fromkeys(f"{fault.kind} of {', '.join(fault.columns)}" for fault in doubtful))
+        return findings
+
+    def fitted(self, candidates: Sequence[Fault]) -> Fault:
+        """Return the candidate with the highest score in all windows, with its value fitted to the log."""
+        for spread in (0.0, 0.6, 0.15):
+            tried = [one for c in candidates for one in (c.nearby(spread) if spread and c.is_fitted else [c])]
+            scores, _ = self.scores(tried, self.starts)
+            best = tried[int(np.argmax(scores))]
+            if not best.is_fitted:
+                break
+            candidates = [best]
+        return best
+
+    def scores(self, faults: Sequence[Fault], starts: np.ndarray) -> tuple[Numbers, Numbers]:
+        """Return the score of each fault, (F,), and the spreads of the errors without and with each fault, (1 + F, C)."""
+        models = [self.accepted, *(fault.sensing.after(self.accepted) for fault in faults)]
+        parts = {key: np.concatenate([getattr(model, key) for model in models]) for key in vars(self.accepted)}
+        errors = self.simulation.errors(self.log, Sensing(**parts), starts)
+        spreads = 1.4826 * np.median(np.abs(errors), axis=(1, 2))
+        spreads = np.maximum(np.nan_to_num(spreads, nan=1e9), self.floors)
+        return np.log(spreads[0] / spreads[1:]).sum(axis=1), spreads
+
+    def finding(self, fault: Fault, spreads: Numbers) -> LogFinding:
+        """Return a finding with its evidence: the column whose prediction improves most."""
+        column = int(np.argmax(spreads[0] / spreads[1]))
+        evidence = f"the simulation's error of {self.columns[column]} is {spreads[0, column]:.3g}"
+        evidence += f" with the log as it is, and {spreads[1, column]:.3g} without the fault"
+        texts = [text.format(value=fault.value) for text in (fault.wrong, fault.change)]
+        return LogFinding(fault.kind, fault.columns, texts[0], evidence, texts[1], fault.value or None)
+
+    def report(self, findings: list[LogFinding], difference: float) -> LogReport:
+        """Return the report, with the predicted readings of all windows before and after the correction."""
+        none = Sensing.identity(1, len(self.columns), self.accepted.gain.shape[1])
+        rows = (self.starts[:, None] + np.arange(1, self.simulation.length + 1)).ravel()
+        logged = self.log.table(self.columns)[rows]
+        shown = [logged - self.simulation.errors(self.log, model, self.starts)[0].reshape(logged.shape) for model in (none, self.accepted)]
+        facts = (len(self.log), len(self.starts), findings, self.undecided, self.columns)
+        return LogReport(*facts, self.log.time[rows], logged, *shown, difference)
