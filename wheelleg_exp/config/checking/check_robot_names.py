@@ -75,7 +75,7 @@ _KINDS = {"joint_names": "joint", "body_names": "body"}
 # `_BY_JOINT` lists the parameters of action terms and actuators that can map joint-name expressions to values.
 _BY_JOINT = {
     "actions": ("scale", "offset", "clip"),
-    "actuators": ("stiffness", "damping", "effort_limit", "velocity_limit", "armature"),
+    "actuators": ("stiffness", "damping", "effort_limit", "velocity_limit", "armature", "friction", "viscous_friction"),
 }
 
 

@@ -132,7 +132,7 @@ def _comma_separated(values: Iterable[Any]) -> str:
 
 
 BUNDLE, LEAPP = "bundle", "leapp"
-_COPIED_FILES = ("runner.py", "simulate.py")
+_COPIED_FILES = ("runner.py", "simulate.py", "chirps.py")
 _MOST_STEPS, _EXAMPLE_STEPS = 600, 120
 _SKIPPED_FILES = (REPORT, "asset.json")
 

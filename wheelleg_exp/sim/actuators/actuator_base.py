@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 PerJoint = NonNegative | Mapping[str, NonNegative]
 # The config of an actuator group must set each parameter in ``NEEDED`` for every joint of the group.
 NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")
+_MECHANICAL = ("armature", "friction", "viscous_friction")  # Properties of a joint that its actuator group can set.
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
 LimitPerJoint = Limit | Mapping[str, Limit]
@@ -47,6 +48,8 @@ class ActuatorBase(Stateful):
         velocity_limit: largest joint speed, rad/s. MuJoCo cannot limit a joint's speed: velocity targets are
             clipped to it, and joints beyond it are reported.
         armature: reflected rotor inertia, kg·m^2; null keeps the asset's value.
+        friction: Coulomb friction of the joint, N·m; null keeps the asset's value.
+        viscous_friction: viscous friction of the joint, N·m·s/rad; null keeps the asset's value.
         delay: shortest and longest delay of the targets in physics steps; each reset draws one delay for each
             environment; null means no delay.
     """
@@ -64,10 +67,12 @@ class ActuatorBase(Stateful):
         velocity_limit: LimitPerJoint,
         armature: PerJoint | None = None,
         delay: Delay | None = None,
+        friction: PerJoint | None = None,
+        viscous_friction: PerJoint | None = None,
     ) -> None:
         self.joint_names_expr = [joint_names_expr] if isinstance(joint_names_expr, str) else list(joint_names_expr)
-        values = (stiffness, damping, effort_limit, velocity_limit, armature)
-        self._config: dict[str, Any] = dict(zip((*NEEDED, "armature"), values, strict=True))
+        values = (stiffness, damping, effort_limit, velocity_limit, armature, friction, viscous_friction)
+        self._config: dict[str, Any] = dict(zip((*NEEDED, *_MECHANICAL), values, strict=True))
         self._delay_bounds = delay
         self.delay: TargetDelay | None = None
 
@@ -94,11 +99,16 @@ class ActuatorBase(Stateful):
         self._per_joint = per_joint
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Write the joints' armatures to the MuJoCo spec, and add a MuJoCo actuator with the name of each joint."""
+        """Write the joints' armatures and frictions to the MuJoCo spec, and add an actuator named after each joint."""
         for index, name in enumerate(self.joint_names):
-            armature = self._per_joint["armature"][index]
+            armature, friction, viscous_friction = (self._per_joint[key][index] for key in _MECHANICAL)
+            joint = spec.joint(name)
             if armature is not None:
-                spec.joint(name).armature = armature
+                joint.armature = armature
+            if friction is not None:
+                joint.frictionloss = friction
+            if viscous_friction is not None:
+                joint.damping = [viscous_friction, 0.0, 0.0]  # The damping torque is a polynomial of the joint speed.
             self._shape(spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT), index)
 
     def _shape(self, actuator: Any, index: int) -> None:

@@ -129,9 +129,11 @@ class ActuatorNet(DCMotor):
         saturation_effort: Positive,
         armature: PerJoint | None = None,
         delay: Delay | None = None,
+        friction: PerJoint | None = None,
+        viscous_friction: PerJoint | None = None,
     ) -> None:
         limits = (effort_limit, velocity_limit, saturation_effort)
-        super().__init__(joint_names_expr, math.nan, math.nan, *limits, armature, delay)
+        super().__init__(joint_names_expr, math.nan, math.nan, *limits, armature, delay, friction, viscous_friction)
         self._file = network_file
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
@@ -174,9 +176,11 @@ class ActuatorNetMLP(ActuatorNet):
         input_idx: Annotated[Sequence[Natural], NotEmpty()],
         armature: PerJoint | None = None,
         delay: Delay | None = None,
+        friction: PerJoint | None = None,
+        viscous_friction: PerJoint | None = None,
     ) -> None:
         limits = (effort_limit, velocity_limit, saturation_effort)
-        super().__init__(joint_names_expr, network_file, *limits, armature, delay)
+        super().__init__(joint_names_expr, network_file, *limits, armature, delay, friction, viscous_friction)
         self._scales = (pos_scale, vel_scale, torque_scale)
         self._swapped = input_order == "vel_pos"
         self._input_idx = list(input_idx)

@@ -101,8 +101,11 @@ class DCMotor(IdealPDActuator):
         saturation_effort: Positive,
         armature: PerJoint | None = None,
         delay: Delay | None = None,
+        friction: PerJoint | None = None,
+        viscous_friction: PerJoint | None = None,
     ) -> None:
-        super().__init__(joint_names_expr, stiffness, damping, effort_limit, velocity_limit, armature, delay)
+        limits = (effort_limit, velocity_limit)
+        super().__init__(joint_names_expr, stiffness, damping, *limits, armature, delay, friction, viscous_friction)
         self._saturation = saturation_effort
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
@@ -138,9 +141,11 @@ class DelayedPDActuator(IdealPDActuator):
         armature: PerJoint | None = None,
         min_delay: Natural = 0,
         max_delay: Natural = 0,
+        friction: PerJoint | None = None,
+        viscous_friction: PerJoint | None = None,
     ) -> None:
-        bounds = (min_delay, max_delay)
-        super().__init__(joint_names_expr, stiffness, damping, effort_limit, velocity_limit, armature, bounds)
+        others = (effort_limit, velocity_limit, armature, (min_delay, max_delay), friction, viscous_friction)
+        super().__init__(joint_names_expr, stiffness, damping, *others)
 
 
 def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -176,9 +181,11 @@ class RemotizedPDActuator(DelayedPDActuator):
         armature: PerJoint | None = None,
         min_delay: Natural = 0,
         max_delay: Natural = 0,
+        friction: PerJoint | None = None,
+        viscous_friction: PerJoint | None = None,
     ) -> None:
-        limits = (torch.inf, torch.inf)
-        super().__init__(joint_names_expr, stiffness, damping, *limits, armature, min_delay, max_delay)
+        others = (torch.inf, torch.inf, armature, min_delay, max_delay, friction, viscous_friction)
+        super().__init__(joint_names_expr, stiffness, damping, *others)
         self._table = [list(map(float, row)) for row in joint_parameter_lookup]
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:

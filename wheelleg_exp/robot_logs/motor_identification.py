@@ -1,0 +1,382 @@
+"""Identify the motors of a robot from a log of chirps: the parameters with which the simulation repeats the log.
+
+The robot's base is fixed in the simulation, and the drives follow the log's targets. For each driven joint, a
+least-squares fit (scipy's trust region) finds six parameters: armature, Coulomb friction, viscous friction, gain (a
+factor on stiffness and damping), delay of the targets, and effort scale (logged effort / torque of the motor). The
+residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All joints are fitted
+together, because gravity and the reactions between links tell the torque of a motor from its inertia.
+
+The 95 % confidence intervals are x ± t sqrt(s² C) with C = diag((JᵀJ)⁻¹), s² = rᵀr / (n - p), the residuals r (n,), their
+Jacobian J (n, p), and the 0.975 quantile t of Student's distribution with n - p degrees of freedom. The intervals assume
+independent noise and a model that can repeat the log.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from scipy import optimize, stats
+
+from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of
+from wheelleg_exp.sim.robot_model import RobotLayout
+
+PARAMETERS = ("armature", "friction", "viscous_friction", "gain", "delay", "effort_scale")
+UNITS = dict(zip(PARAMETERS, ("kg·m²", "N·m", "N·m·s/rad", "1", "s", "1"), strict=True))
+READINGS = ("joint_pos", "joint_vel", "joint_effort")
+_REST_S, _SKIPPED_S, _HEIGHT = 0.3, 0.05, 10.0
+_AVERAGED = 6  # rows
+_STEP, _MOST_EVALUATIONS, _ROUNDS = 1e-3, 25, 2
+_GRAVITY = 9.81
+_FIRST = (0.1, 0.5, 0.5, 0.2, 0.5, 0.2)  # least first guess of each unknown, because a joint without friction never sticks
+_LEAST_LOAD = 0.005  # least torque of gravity, as a share of the effort limit, from which an effort scale is found
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a joint: its value in the config of the robot, the identified value, and the interval."""
+
+    joint: str
+    name: str
+    before: float
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The identified parameters, and the prediction error (RMS of errors / noise) on pieces of the log.
+
+    ``fitted`` and ``held_out`` contain the errors with the parameters of the config and with the identified parameters.
+    """
+
+    parameters: list[Parameter]
+    fitted: tuple[float, float]
+    held_out: tuple[float, float]
+    pieces: tuple[int, int]
+    drives: Mapping[str, Any]
+    physics_dt: float
+
+
+Weight = tuple[float, float]  # a mass, kg, and its distance from the joint's axis, m
+
+
+def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: float, radius: float) -> None:
+    """Add a point mass to the link of a joint: it hangs below the axis while the joint reads 0 in the default pose."""
+    model = spec.compile()
+    data, index = mujoco.MjData(model), model.joint(joint).id
+    for name, value in zip(layout.joint_names, layout.default_joint_pos.tolist(), strict=True):
+        data.joint(name).qpos[0] = 0.0 if name == joint else value
+    mujoco.mj_forward(model, data)
+    axis, body = data.xaxis[index], int(model.jnt_bodyid[index])
+    down = model.opt.gravity - axis * (axis @ model.opt.gravity)
+    place = model.jnt_pos[index] + radius * data.xmat[body].reshape(3, 3).T @ down / np.linalg.norm(down)
+    part = spec.body(model.body(body).name).add_body(name=f"{joint}_weight", pos=place)
+    part.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-4, 0, 0], mass=mass, contype=0, conaffinity=0)
+
+
+class ChirpSimulation:
+    """P simulations of a robot with a fixed base, each with its own motor parameters and its own piece of a log."""
+
+    def __init__(
+        self, env: Mapping[str, Any], mjcf: Path, num_envs: int, gravity: Numbers, weights: Mapping[str, Weight]
+    ) -> None:
+        found = copy.deepcopy(dict(env))
+        found["robot"]["init_state"] |= {"pos": [0.0, 0.0, _HEIGHT], "rot": [1.0, 0.0, 0.0, 0.0]}
+        found["sim"] |= {"gravity": gravity.tolist()}
+        found["scene"] |= {"sensors": {}}
+        for group in (group for group in found["robot"]["actuators"].values() if group is not None):
+            group.pop("delay", None)
+            group |= dict.fromkeys({"min_delay", "max_delay"} & group.keys(), 0)
+        self.scene = SceneManager(found, mjcf, num_envs).scene
+        for joint, (mass, radius) in weights.items():
+            _add_weight(self.scene.spec, self.scene.robot.layout, joint, mass, radius)
+        self.scene.play()
+        self.robot, self.sim, self.decimation = self.scene.robot, self.scene.sim, int(found["decimation"])
+        self.dt = self.scene.physics_dt
+        self.names = list(self.robot.joint_names)
+        self.driven = sorted(j for group in self.robot.actuators.values() for j in group.joint_ids.tolist())
+        self.drives = {key: self._of_joints(key) for key in ("stiffness", "damping", "effort_limit")}
+
+    def _of_joints(self, key: str) -> torch.Tensor:
+        values = torch.zeros(len(self.names))
+        for group in self.robot.actuators.values():
+            values[group.joint_ids] = getattr(group, key)[0]
+        return values
+
+    def start_values(self, delays: Mapping[str, float]) -> Numbers:
+        """Return the parameters of the config, (driven joints, 6); ``delays`` (s) by actuator group."""
+        data, values = self.robot.data, np.ones((len(self.names), len(PARAMETERS)))
+        fields = (data.joint_armature, data.joint_friction_coeff, data.joint_viscous_friction_coeff)
+        values[:, :3] = torch.stack([field[0] for field in fields], dim=1).numpy()
+        values[:, 4] = 0.0
+        for name, delay in delays.items():
+            values[self.robot.actuators[name].joint_ids.numpy(), 4] = delay
+        return values[self.driven]
+
+    def inertias(self) -> tuple[Numbers, Numbers]:
+        """Return the inertia of the links that each driven joint moves, kg·m², and whether gravity loads the joint."""
+        model, dofs = self.sim.model, self.robot.layout.dof_ids.numpy()[self.driven]
+        data, matrix = at_default(model, self.robot), np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, matrix)
+        joints = model.dof_jntid[dofs]
+        bodies = model.jnt_bodyid[joints]
+        away = np.cross(data.subtree_com[bodies] - data.xanchor[joints], data.xaxis[joints])
+        load = model.body_subtreemass[bodies] * np.linalg.norm(away, axis=1) * _GRAVITY
+        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * self.drives["effort_limit"].numpy()[self.driven]
+
+    def play(self, values: Numbers, targets: torch.Tensor, start: torch.Tensor) -> Numbers:
+        """Return positions, speeds, and efforts of N simulations after each control step, (T, N, 3, J).
+
+        ``values`` (N, driven joints, 6) are the motor parameters, ``targets`` (T, 3, N, J) the targets of each control
+        step, and ``start`` (N, 2, J) the joint positions and speeds before the first step.
+        """
+        robot, numbers, driven = self.robot, torch.from_numpy(values), self.driven
+        robot.write_joint_armature_to_sim(numbers[..., 0], driven)
+        robot.write_joint_friction_coefficient_to_sim(numbers[..., 1], None, numbers[..., 2], driven)
+        gain = numbers[..., 3].float()
+        robot.write_joint_stiffness_to_sim(self.drives["stiffness"][driven] * gain, driven)
+        robot.write_joint_damping_to_sim(self.drives["damping"][driven] * gain, driven)
+        robot.reset()
+        robot.write_joint_state_to_sim(*start.float().unbind(dim=1))
+        self.scene.refresh()
+        late = numbers[..., 4] / self.dt
+        lag, share = late.floor().long(), (late - late.floor()).float()
+        rows, columns = torch.arange(len(values))[:, None], torch.tensor(driven)[None]
+        held, found = targets.repeat_interleave(self.decimation, dim=0), []
+        for step in range(len(held)):
+            now, before = ((step - lag - k).clamp(min=0) for k in (0, 1))
+            delayed = held[step].clone()
+            delayed[:, :, driven] = torch.lerp(held[now, :, rows, columns], held[before, :, rows, columns], share[..., None]).movedim(-1, 0)
+            if step % self.decimation == 0:
+                robot.begin_control_step()
+            robot.set_joint_position_target(delayed[0])
+            robot.set_joint_velocity_target(delayed[1])
+            robot.set_joint_effort_target(delayed[2])
+            self.scene.write_data_to_sim()
+            self.sim.step()
+            self.scene.update()
+            if (step + 1) % self.decimation == 0:
+                data = robot.data
+                qpos, qvel = self.sim.view("qpos"), self.sim.view("qvel")
+                joints = qpos[:, robot.layout.qpos_ids], qvel[:, robot.layout.dof_ids], data.applied_torque.double()
+                found.append(torch.stack(joints, dim=1))
+        return torch.stack(found).numpy()
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """S pieces of a log that start at rest, T rows each: targets, start positions, and readings; NaN after their end."""
+
+    targets: torch.Tensor  # (T, 3, S, J)
+    start: torch.Tensor  # (S, 2, J)
+    logged: Numbers  # (T, S, 3, J), one control step later than the targets
+
+    def of(self, which: slice) -> _Pieces:
+        return _Pieces(self.targets[:, :, which], self.start[which], self.logged[:, which])
+
+
+def identify(
+    log: RobotLog,
+    env: Mapping[str, Any],
+    mjcf: Path,
+    weights: Mapping[str, Weight] = MappingProxyType({}),
+    progress: Callable[[str], None] | None = None,
+) -> Identified:
+    """Identify the motors of the robot in an ``env`` config from a log of chirps.
+
+    Every second half of the log's pieces (the chirps that ``chirps.py`` plays from high to low frequency) is held out.
+    ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps.
+    """
+    names_of_gravity = columns_of("projected_gravity", 3, ())
+    mean = log.table(names_of_gravity).mean(axis=0) if log.has(names_of_gravity) else np.array([0.0, 0.0, -1.0])
+    gravity = _GRAVITY * mean / np.linalg.norm(mean)
+    probe = ChirpSimulation(env, mjcf, 1, gravity, weights)
+    pieces = _pieces(log, probe)
+    half = (pieces.start.shape[0] + 1) // 2
+    fitted, held_out = pieces.of(slice(half)), pieces.of(slice(half, None))
+    before = x = probe.start_values(_delays(env, probe.dt))
+    free = np.broadcast_to([name != "effort_scale" for name in PARAMETERS], before.shape).copy()
+    free[:, 5] = probe.inertias()[1] & bool(np.isfinite(pieces.logged[:, :, 2]).any())
+    simulation = ChirpSimulation(env, mjcf, (1 + int(free.sum())) * len(fitted.start), gravity, weights)
+    noise = _noise(fitted.logged)
+    for _ in range(_ROUNDS):
+        fit = _Fit(simulation, fitted, x, free, noise, progress)
+        solution = fit.solve()
+        x = fit.values(solution.x)
+        errors = _errors(simulation, x[None], fitted)[0]
+        noise = np.maximum(np.sqrt(np.nanmean(errors**2, axis=(0, 1), keepdims=True)), 0.2 * noise)
+    half_width = fit.intervals(solution, noise)
+    low, high = np.maximum(x - half_width, 0.0), x + half_width
+    scores = [_scores(simulation, np.stack((before, x)), part, noise) for part in (fitted, held_out)]
+    parameters = [
+        Parameter(probe.names[joint], name, *(float(values[row, k]) for values in (before, x, low, high)))
+        for row, joint in enumerate(probe.driven)
+        for k, name in enumerate(PARAMETERS)
+        if free[row, k]
+    ]
+    drives = {key: dict(zip(probe.names, values.tolist(), strict=True)) for key, values in probe.drives.items()}
+    return Identified(parameters, scores[0], scores[1], (half, len(held_out.start)), drives, probe.dt)
+
+
+def _delays(env: Mapping[str, Any], dt: float) -> dict[str, float]:
+    """Return the mean delay of each actuator group in the config, s."""
+    found = {}
+    for name, group in env["robot"]["actuators"].items():
+        if group is not None:
+            bounds = group.get("delay") or (group.get("min_delay", 0), group.get("max_delay", 0))
+            found[name] = dt * sum(bounds) / 2
+    return found
+
+
+def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
+    """Cut the log where all targets rest: each piece starts at rest and ends before the next one."""
+    names, step_dt = simulation.names, simulation.dt * simulation.decimation
+    targets = np.stack([log.targets(kind, names) for kind in TARGETS], axis=1)
+    rest = round(_REST_S / step_dt)
+    still = np.append(True, np.abs(np.diff(targets, axis=0)).max(axis=(1, 2)) < 1e-9)
+    run = np.zeros(len(log), int)
+    for row in range(1, len(log)):
+        run[row] = run[row - 1] + 1 if still[row] else 0
+    starts = np.flatnonzero((run[:-1] >= rest) & ~still[1:])
+    if len(starts) < 2 or log.starts(step_dt)[1:].any():
+        message = "the log contains no chirps that start at rest, or gaps between its rows"
+        raise LogError(message, key=str(log.path), expected="a log of the bundle's chirps.py, one row per control step")
+    length = int(np.diff(np.append(starts, len(log) - 1)).max())
+    readings = [log.table([f"{reading}.{name}" for name in names]) for reading in READINGS[:2]]
+    effort = [f"joint_effort.{name}" for name in names]
+    readings.append(log.table(effort) if log.has(effort) else np.full(readings[0].shape, np.nan))
+    logged, ends = np.stack(readings, axis=1), np.append(starts[1:], len(log) - 1)
+    rows = starts[:, None] + np.arange(length)
+    inside = rows < ends[:, None]
+    later = np.where(inside[..., None, None], logged[np.minimum(rows + 1, len(log) - 1)], np.nan)
+    later[:, : round(_SKIPPED_S / step_dt)] = np.nan
+    # The readings before a start give the state at the start with less noise: a slow joint can still move a little.
+    start = np.stack([logged[k - _AVERAGED + 1 : k + 1, :2].mean(axis=0) for k in starts])
+    start[:, 0] += start[:, 1] * step_dt * (_AVERAGED - 1) / 2
+    chosen = torch.from_numpy(targets[np.minimum(rows, len(log) - 1)]).float()
+    return _Pieces(chosen.permute(1, 2, 0, 3).contiguous(), torch.from_numpy(start), later.swapaxes(0, 1))
+
+
+def _noise(logged: Numbers) -> Numbers:
+    """Return the noise of each column from third differences, at least a thousandth of its motion, (1, 1, 3, J)."""
+    third = np.nanmedian(np.diff(logged, n=3, axis=0) ** 2, axis=(0, 1), keepdims=True)
+    return np.maximum(np.sqrt(third / 0.4549 / 20), 1e-3 * np.nanstd(logged, axis=(0, 1), keepdims=True) + 1e-12)
+
+
+def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces) -> Numbers:
+    """Return logged minus simulated readings with M sets of parameters, (M, T, S, 3, J); NaN without a reading."""
+    count, width, size = len(values), len(pieces.start), simulation.scene.num_envs
+    if count * width > size:
+        return np.concatenate([_errors(simulation, value[None], pieces) for value in values])
+    spare = np.arange(size) % (count * width)  # Spare simulations repeat the first ones.
+    model, piece = np.divmod(spare, width)
+    played = simulation.play(values[model], pieces.targets[:, :, piece], pieces.start[piece])[:, : count * width]
+    played = played.reshape(len(played), count, width, *played.shape[2:]).swapaxes(0, 1)
+    scale = np.ones((count, 1, 1, 3, len(simulation.names)))
+    scale[:, 0, 0, 2, simulation.driven] = values[..., 5]
+    errors = pieces.logged - scale * played
+    # The angle of a wheel counts from an arbitrary start, and only its changes matter.
+    free = (simulation.drives["stiffness"] == 0).numpy()
+    errors[:, :, :, 0, free] -= np.nanmean(errors[:, :, :, 0, free], axis=1, keepdims=True)
+    return errors
+
+
+def _scores(
+    simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, noise: Numbers
+) -> tuple[float, float]:
+    if not len(pieces.start):
+        return (float("nan"), float("nan"))
+    before, after = np.sqrt(np.nanmean((_errors(simulation, values, pieces) / noise) ** 2, axis=(1, 2, 3, 4)))
+    return float(before), float(after)
+
+
+class _Fit:
+    """One least-squares problem.
+
+    The motion of a joint depends mostly on ratios to the gain K. The unknowns are therefore (armature + inertia of the
+    links) / K, both frictions / K, K, delay, and effort scale times K, each divided by its typical size.
+    """
+
+    def __init__(
+        self,
+        simulation: ChirpSimulation,
+        pieces: _Pieces,
+        start: Numbers,
+        free: Numbers,
+        noise: Numbers,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.simulation, self.pieces, self.start, self.free = simulation, pieces, start, free
+        self.noise, self.progress = noise, progress
+        self.known: tuple[bytes, Numbers, Numbers] | None = None
+        self.inertia = simulation.inertias()[0]
+        ones, effort = np.ones(len(start)), simulation.drives["effort_limit"].clamp(max=1e3).numpy()[simulation.driven]
+        inertia = self.inertia + np.maximum(start[:, 0], 1e-6)
+        viscous = 0.1 * np.maximum(simulation.drives["damping"].numpy()[simulation.driven], inertia)
+        self.sizes = np.stack((inertia, 0.01 * effort, viscous, ones, ones * simulation.dt, ones), axis=1)
+
+    def values(self, unknowns: Numbers) -> Numbers:
+        """Return all parameters (driven joints, 6) of the unknowns of the free parameters."""
+        ratios = self.ratios(self.start)
+        ratios[self.free] = unknowns
+        found, gain = ratios * self.sizes, ratios[:, 3:4]
+        found[:, :3] *= gain
+        found[:, 0] = np.maximum(found[:, 0] - self.inertia, 1e-9)
+        found[:, 5:] = np.where(self.free[:, 5:], found[:, 5:] / gain, self.start[:, 5:])
+        return found
+
+    def ratios(self, values: Numbers) -> Numbers:
+        """Return the unknowns of all parameters (driven joints, 6); ``values`` does the inverse."""
+        found, gain = values.copy(), values[:, 3:4]
+        found[:, 0] += self.inertia
+        found[:, :3] /= gain
+        found[:, 5:] *= gain
+        return found / self.sizes
+
+    def solve(self) -> Any:
+        """Return scipy's solution."""
+        low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), self.start.shape)[self.free]
+        start = np.maximum(self.ratios(self.start), _FIRST)[self.free]
+        limits = {"bounds": (low, np.inf), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
+        return optimize.least_squares(self.residuals, start, self.jacobian, ftol=1e-6, **limits)
+
+    def residuals(self, unknowns: Numbers) -> Numbers:
+        return self._evaluate(unknowns)[0]
+
+    def jacobian(self, unknowns: Numbers) -> Numbers:
+        return self._evaluate(unknowns)[1]
+
+    def _evaluate(self, unknowns: Numbers) -> tuple[Numbers, Numbers]:
+        """Return the residuals (n,) and their Jacobian (n, p) by forward differences, all in one batch of simulations."""
+        if self.known is None or self.known[0] != unknowns.tobytes():
+            steps = _STEP * np.maximum(1.0, np.abs(unknowns))
+            tried = np.stack([self.values(point) for point in (unknowns, *(unknowns + np.diag(steps)))])
+            errors = (_errors(self.simulation, tried, self.pieces) / self.noise).reshape(len(tried), -1)
+            errors = errors[:, np.isfinite(self.pieces.logged).ravel()]
+            self.known = (unknowns.tobytes(), errors[0], ((errors[1:] - errors[0]) / steps[:, None]).T)
+            if self.progress is not None:
+                self.progress(f"prediction error {np.sqrt(np.mean(errors[0] ** 2)):.4g} times the noise")
+        return self.known[1:]
+
+    def intervals(self, solution: Any, noise: Numbers) -> Numbers:
+        """Return half the widths of the 95 % confidence intervals of all parameters, (driven joints, 6)."""
+        weight = np.broadcast_to(self.noise / noise, self.pieces.logged.shape)[np.isfinite(self.pieces.logged)]
+        residuals, jacobian = solution.fun * weight, solution.jac * weight[:, None]
+        degrees = len(residuals) - jacobian.shape[1]
+        covariance = float(residuals @ residuals) / degrees * np.linalg.pinv(jacobian.T @ jacobian)
+        # The change of the parameters with the unknowns carries the covariance from the unknowns to the parameters.
+        steps = 1e-6 * np.eye(len(solution.x))
+        change = np.stack([(self.values(solution.x + d) - self.values(solution.x - d)).ravel() / 2e-6 for d in steps])
+        spread = np.sqrt(np.einsum("pv,pq,qv->v", change, covariance, change)).reshape(self.start.shape)
+        return float(stats.t.ppf(0.975, degrees)) * spread
