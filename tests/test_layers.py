@@ -33,6 +33,7 @@ LAYERS = (
     ("recording",),
     ("verify",),
     ("jobs",),
+    ("robot_logs",),
     ("inspection",),
     ("report",),
     ("cli",),

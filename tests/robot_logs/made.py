@@ -1,59 +1,136 @@
-"""Logs made by simulation: a bundle's robot in plain MuJoCo, with pushes, noise, and mistakes."""
+"""Bundles without training, and logs that their robots write in plain MuJoCo: pushed, noisy, and with faults."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
+import pytest
+
+from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.files import write_json
+from wheelleg_exp.jobs.export import bundle as package
+from wheelleg_exp.jobs.export import export_bundle
+from wheelleg_exp.jobs.export.bundle_specification import specification
 
 NOISE = {"base_ang_vel": 0.01, "projected_gravity": 0.003, "joint_pos": 0.001, "joint_vel": 0.05}
+PUSH = np.array([0.06, 0.06, 0.0, 0.3, 0.3, 1.0])  # m/s and rad/s
+Columns = dict[str, np.ndarray]
 
 
-def drive(bundle: Path, seconds: float = 12.0, noise: float = 1.0, seed: int = 0, gain: float = 1.0, command=None,
-          change=None, push=1.0):
-    """Return the columns of a log; the robot is pushed once per second. ``change`` changes the readings in the loop."""
-    sys.path.insert(0, str(bundle))
-    sys.modules.pop("runner", None), sys.modules.pop("simulate", None)
-    import runner
-    import simulate
+def bundle_of(robot: str, folder: Path) -> tuple[Path, dict[str, Any], Path]:
+    """Write a bundle of ``task=stand`` with a linear policy; return the bundle, the ``env`` config, and the MJCF.
 
-    sys.path.remove(str(bundle))
+    ``linear_policy.npz`` was fitted by least squares to the actions of a trained policy, and balances the robot.
+    """
+    composed = compose(["task=stand", f"robot={robot}"])
+    mjcf, config = prepare_asset(composed.config).output, export_bundle.as_configured(composed.config["env"])
+    env = ManagerBasedRLEnv(config, mjcf, 0)
+    spec = specification(env, composed.config["agent"], {})
+    spec["network"] = {"widths": [spec["action_width"]], "activations": ["identity"]}
+    write_json(folder / "policy.json", spec)
+    (folder / "policy.npz").write_bytes(Path(__file__).with_name("linear_policy.npz").read_bytes())
+    export_bundle._write_robot(folder / "robot", mjcf, config, env)
+    return folder, config, mjcf
+
+
+def programs(*names: str) -> list[ModuleType]:
+    """Import programs of a bundle, which import one another by their file names."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(str(package.__file__)).parent))
+        for name in ("runner", "simulate", "chirps"):
+            sys.modules.pop(name, None)
+        return [__import__(name) for name in names]
+
+
+def drive(bundle: Path, seconds: float, seed: int = 3, noise: float = 1.0, gain: float = 1.0) -> Columns:
+    """Return the log of a balancing robot that is pushed twice per second; its drives have ``gain`` times the gains."""
+    runner, simulate = programs("runner", "simulate")
     spec = json.loads((bundle / "policy.json").read_text())
-    robot, policy = simulate.Robot(spec), runner.Policy(bundle)
-    rng = np.random.default_rng(seed)
-    robot.model.actuator_biasprm[:, 1:3] *= gain
-    for drive_, _ in robot.drives:
-        for key in ("stiffness", "damping"):
-            drive_[key] = [gain * v for v in drive_[key]]
-    names, rows = spec["joint_names"], []
-    width = {k: v["width"] for k, v in spec["readings"].items()}
-    every = max(1, round(0.5 / spec["step_dt"]))
-    for k in range(round(seconds / spec["step_dt"])):
-        if k % every == every - 1:
-            robot.data.qvel[:6] += rng.uniform(-1, 1, 6) * push * np.array([0.06, 0.06, 0.0, 0.3, 0.3, 1.0])
-        ask = {n: (np.zeros(width[f"commands.{n}"]) if command is None else command(k * spec["step_dt"])) for n in spec["commands"]}
-        readings = robot.readings(ask)
+    robot, policy = simulate.Robot(spec, bundle / "robot" / "scene.xml"), runner.Policy(bundle)
+    weaken(robot, np.full(len(spec["joint_names"]), gain))
+    rng, rows = np.random.default_rng(seed), []
+    for step in range(round(seconds / spec["step_dt"])):
+        if step % 30 == 29:
+            robot.data.qvel[:6] += rng.uniform(-1, 1, 6) * PUSH
+        readings = robot.readings({name: np.zeros(3) for name in spec["commands"]})
         readings["projected_gravity"] = runner.projected_gravity(readings["base_quat"])
-        seen = {n: np.array(readings[n], float) for n in {*NOISE, *spec["readings"]}}
-        for n, sigma in NOISE.items():
-            seen[n] = seen[n] + noise * sigma * rng.standard_normal(seen[n].shape)
-        if change is not None:
-            seen = change(k, seen)
+        seen = {name: np.array(readings[name]) for name in {*NOISE, *spec["readings"]}}
+        for name, sigma in NOISE.items():
+            seen[name] = seen[name] + noise * sigma * rng.standard_normal(seen[name].shape)
         targets = policy.step(seen)
-        row = {"time": k * spec["step_dt"], "status": 0, "reset": int(k == 0)}
-        for n, v in seen.items():
-            parts = names if n.startswith("joint_") else ("xyz" if len(v) == 3 and not n.startswith("commands") else range(len(v)))
-            row |= {f"{n}.{p}": float(x) for p, x in zip(parts, v)}
-        for kind, v in targets.items():
-            row |= {f"target_{kind}.{j}": float(x) for j, x in zip(names, v)}
-        rows.append(row)
+        rows.append(row_of(spec["joint_names"], step * spec["step_dt"], seen, targets))
         for _ in range(spec["decimation"]):
             robot.drive(targets)
             simulate.mujoco.mj_step(robot.model, robot.data)
             targets = policy.targets(robot.data.qpos[robot.qpos])
-        if robot.upright < 0.5:
-            print("fell", k)
-            break
-    return {n: np.array([r[n] for r in rows]) for n in rows[0]}
+    assert robot.upright > 0.9
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def row_of(names: list[str], time: float, seen: Mapping[str, Any], targets: Mapping[str, Any]) -> dict[str, float]:
+    row = {"time": time, "status": 0.0, "reset": float(time == 0)}
+    for name, values in seen.items():
+        parts = names if name.startswith("joint_") else "012" if name.startswith("commands") else "xyz"
+        row |= {f"{name}.{part}": float(x) for part, x in zip(parts, values, strict=True)}
+    for kind, values in targets.items():
+        row |= {f"target_{kind}.{joint}": float(x) for joint, x in zip(names, values, strict=True)}
+    return row
+
+
+def weaken(robot: Any, gain: np.ndarray) -> None:
+    """Multiply the gains of the drives of a bundle's simulated robot by one number per joint."""
+    drives = []
+    for drive_, actuators in robot.drives:
+        own = gain[drive_["joint_ids"]]
+        robot.model.actuator_biasprm[actuators, 1:3] *= own[:, None]
+        drives.append(
+            ({**drive_, **{key: (own * drive_[key]).tolist() for key in ("stiffness", "damping")}}, actuators)
+        )
+    robot.drives = drives
+
+
+def chirp(bundle: Path, truth: Mapping[str, np.ndarray], weights: Callable[[str], str], noise: float = 1.0) -> Columns:
+    """Return the log of chirps by motors with the parameters ``truth``, by name, (J,); ``weights`` edits the scene."""
+    chirps, simulate = programs("chirps", "simulate")
+    spec = json.loads((bundle / "policy.json").read_text())
+    scene = bundle / "robot" / "weighted.xml"
+    scene.write_text(weights((bundle / "robot" / "scene.xml").read_text()))
+    robot, played = chirps.HungRobot(spec, scene), chirps.Chirps(spec)
+    fields = {"armature": "dof_armature", "friction": "dof_frictionloss", "viscous_friction": "dof_damping"}
+    for name, field in fields.items():
+        getattr(robot.model, field)[robot.qvel] = truth[name]
+    simulate.mujoco.mj_setConst(robot.model, robot.data)
+    robot.reset()
+    weaken(robot, truth["gain"])
+    sigma = {"joint_pos": 5e-4, "joint_vel": 0.02, "joint_effort": 0.01, "projected_gravity": 0.002}
+    rng, rows, dt = np.random.default_rng(0), [], spec["physics_dt"]
+    sent = [played.targets(step) for step in range(played.steps)]
+    times = np.arange(played.steps * spec["decimation"]) * dt
+    held = {kind: np.stack([t[kind] for t in sent]).repeat(spec["decimation"], axis=0) for kind in sent[0]}
+    # A target that arrives within a physics step acts for a part of this step.
+    late = {
+        kind: np.stack(
+            [np.interp(times - d, times, column) for d, column in zip(truth["delay"], values.T, strict=True)], 1
+        )
+        for kind, values in held.items()
+    }
+    for step in range(played.steps):
+        readings = {name: np.array(value, float) for name, value in robot.readings({}).items()}
+        readings["projected_gravity"] = np.array([0.0, 0.0, -1.0])
+        readings["joint_effort"] = readings["joint_effort"] * truth["effort_scale"]
+        for name, size in sigma.items():
+            readings[name] = readings[name] + noise * size * rng.standard_normal(readings[name].shape)
+        rows.append(played.row(step * played.dt, readings, step))
+        for k in range(step * spec["decimation"], (step + 1) * spec["decimation"]):
+            robot.drive({kind: values[k] for kind, values in late.items()})
+            simulate.mujoco.mj_step(robot.model, robot.data)
+        robot.data.qpos[:7], robot.data.qvel[:6] = [*robot.spec["root"]["pos"], *robot.spec["root"]["quat"]], 0.0
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}

@@ -1,5 +1,7 @@
 """``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
+``wheelleg inspect LOG --against RUN`` compares a robot's log with the policy and the simulation of a run.
+
 Without an action such as ``--plot``, ``wheelleg inspect`` prints a summary of the recording. If the user requests
 several actions, ``wheelleg inspect`` runs the actions in the order of the tuple ``ACTIONS``.
 """
@@ -64,7 +66,10 @@ class Action:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("recording", metavar="RUN|FILE", help="a run directory, its id, 'latest', or a recording")
+    text = "a run directory, its id, 'latest', or a recording; with --against a robot's log (.csv, .parquet, .mcap)"
+    parser.add_argument("recording", metavar="RUN|FILE", help=text)
+    text = "compare a robot's log with the policy and the simulation of this run; exit status 1 if they differ"
+    parser.add_argument("--against", metavar="RUN", help=text)
     parser.add_argument("--play", action="store_true", help="use the newest play of the run instead of its training")
     parser.add_argument("--id", metavar="ID", help="the id of the recording, if the file contains several")
     add_root(parser)
@@ -121,6 +126,8 @@ def run(args: argparse.Namespace) -> int:
     """Run each action that an option such as ``--plot`` requests, and return the highest exit status of the actions."""
     from wheelleg_exp.inspection.recording_target import find_target
 
+    if args.against is not None:
+        return _against(args)
     default = "stats" if args.term else "summary"
     chosen = [action for action in ACTIONS if _is_given(args, action.name)]
     chosen = chosen or [action for action in ACTIONS if action.name == default]
@@ -144,6 +151,37 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"recording": str(target.path), **{name: result.document for name, result in results.items()}})
     return max(result.status for result in results.values())
+
+
+def _against(args: argparse.Namespace) -> int:
+    for option in ("play", "id", *(a.name for a in ACTIONS), *(option for a in ACTIONS for option in a.options)):
+        if option != "plot" and _is_given(args, option):
+            word = {"begin": "--from", "end": "--to"}.get(option, "--" + option.replace("_", "-"))
+            raise UsageError("the option has no effect on a robot's log", key=word, expected="--plot or --json")
+
+    from wheelleg_exp.robot_logs.log_comparison import compare_with_run
+    from wheelleg_exp.run.run_directory import RunDirectory
+
+    report = compare_with_run(Path(args.recording), RunDirectory.open(args.against, args.root))
+    if args.plot is not None:
+        from wheelleg_exp.inspection.log_plots import log_figure
+        from wheelleg_exp.inspection.recording_plots import save
+
+        save(log_figure(report), args.plot)
+    if args.json:
+        print_json({"log": args.recording, **report.document()})
+    else:
+        from wheelleg_exp.cli.printing.terminal import hanging
+
+        print(f"{report.rows} rows, {report.windows} simulated windows of 0.1 s")
+        for finding in report.findings:
+            print(hanging(f"{finding.kind}: {finding.wrong}", 2))
+            print(hanging(finding.evidence, 4, "  "))
+            print(hanging(f"to do: {finding.change}", 4, "  "))
+        for question in report.undecided:
+            print(hanging(f"cannot tell {question}", 2))
+        print(f"{len(report.findings)} finding{'' if len(report.findings) == 1 else 's'}")
+    return EXIT_FINDING if report.findings else EXIT_OK
 
 
 def _is_given(args: argparse.Namespace, option: str) -> bool:

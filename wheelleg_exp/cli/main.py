@@ -56,6 +56,7 @@ COMMANDS: dict[str, Command] = {
     "replay": Command("replay", "re-run a training from its snapshot, with its own code, and compare", project=False),
     "verify": Command("verify", "check a run against its own manifest, or compare two runs", project=False),
     "inspect": Command("inspect", "show the contents of a recording, and answer questions about it"),
+    "identify": Command("identify", "identify a robot's motors from a log of chirps, and write a robot profile"),
     "convert": Command("convert", "convert a robot file to MJCF, with a report", project=False),
     "check": Command("configs.check", "find every mistake in a config, and with --physics check its numbers"),
     "doctor": Command(

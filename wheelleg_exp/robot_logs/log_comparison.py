@@ -9,6 +9,7 @@ if its score is high enough; the search is then repeated with the log explained 
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,10 +18,15 @@ from typing import Any
 import numpy as np
 import torch
 
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.jobs.export.bundle.runner import Policy, projected_gravity
+from wheelleg_exp.jobs.export.export_bundle import BUNDLE, export
+from wheelleg_exp.jobs.saved_robot import saved_mjcf
 from wheelleg_exp.robot_logs.log_faults import Fault, possible_faults
 from wheelleg_exp.robot_logs.log_simulation import LogSimulation, Sensing, channels
-from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of
+from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, read_log
+from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.rotation import quat_to_matrix
 
 _READINGS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity")
@@ -32,7 +38,7 @@ _NOISE_RATIO, _NOISE_SHARE = 5.0, 0.1
 _LEAST_SCORE, _LEAST_SCORE_OF_OFFSETS, _CERTAIN = 0.8, 0.2, 0.8
 _FEW, _MANY, _LEAST_WINDOWS, _ROUNDS, _ENVS = 60, 240, 10, 4, 512
 _POLICY_TOLERANCE, _SMALLEST_TARGET = 0.02, 1e-3
-_HELD_ROWS, _HELD_SHARE, _HELD_JUMP = 3, 0.01, 5.0
+_HELD_ROWS, _FROZEN_ROWS, _HELD_SHARE, _HELD_JUMP = 3, 30, 0.01, 5.0
 
 
 @dataclass(frozen=True)
@@ -73,20 +79,37 @@ class LogReport:
         return {**facts, "findings": findings, "cannot_tell": self.undecided}
 
 
+def compare_with_run(path: Path, run: RunDirectory) -> LogReport:
+    """Compare a log with a run: with the policy of its bundle or else of its last checkpoint, and with its robot."""
+    log, params = read_log(path), on_reference_engine(upgrade_env_params(load_params(run.path)[0]))
+    with tempfile.TemporaryDirectory(prefix="wheelleg-log-") as temporary:
+        folder = run.exported / BUNDLE
+        if not (folder / "policy.json").is_file():
+            folder = export(run, None, Path(temporary) / BUNDLE, ()).folder
+        return compare_log(log, folder, params, saved_mjcf(run))
+
+
 def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Path) -> LogReport:
-    """Compare a log with the policy in the folder ``bundle``, and with the robot of a run's ``env`` config ``params``."""
-    policy = Policy(bundle)
+    """Compare a log with the policy in the folder ``bundle``, and with the robot of the ``env`` config ``params``."""
+    try:
+        policy = Policy(bundle)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunDirectoryError(f"the bundle cannot be read: {error}", key=str(bundle)) from error
     log, findings = with_imu(log, policy.spec)
     names = policy.spec["joint_names"]
     columns = channels(names)
     logged = log.table(columns)
-    findings += [*clock_findings(log, policy.spec["step_dt"]), *held_findings(log, columns), *noise_findings(log, columns)]
+    findings += [
+        *clock_findings(log, policy.spec["step_dt"]),
+        *held_findings(log, columns),
+        *noise_findings(log, columns),
+    ]
     if any(finding.kind in ("time", "stale") for finding in findings):
         # A simulation from readings of the wrong time would blame the wrong column.
-        difference = replay_difference(log, policy, logged)
+        difference, _ = replay_difference(log, policy, logged)
         empty = np.empty((0, len(columns)))
         undecided = ["whether the readings fit the simulation, before the findings are repaired"]
-        return LogReport(len(log), 0, findings, undecided, columns, empty[:, 0], empty, empty, empty, difference[0])
+        return LogReport(len(log), 0, findings, undecided, columns, empty[:, 0], empty, empty, empty, difference)
     simulation = LogSimulation(params, mjcf, _ENVS)
     search = _Search(log, simulation, columns)
     groups = [list(group.joint_names) for group in simulation.robot.actuators.values()]
@@ -106,7 +129,7 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
     findings += [replace(finding, evidence=finding.evidence + note) for finding in found]
     if not difference <= _POLICY_TOLERANCE and not repaired and any(finding.kind != "gain" for finding in findings):
         # Histories and integrals of the policy amplify the errors that remain in corrected readings.
-        search.undecided.append("policy: whether the sent targets are its output, before the findings are repaired")
+        search.undecided.append("whether the sent targets are the policy's output, before the findings are repaired")
     elif not difference <= _POLICY_TOLERANCE and not repaired:
         wrong = "the sent targets are not the policy's output for the logged readings"
         evidence = f"{worst}: the difference is {100 * difference:.3g} % of the column's variation (RMS)"
@@ -116,7 +139,7 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
 
 
 def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[LogFinding]]:
-    """Return the log with ``base_ang_vel`` and ``projected_gravity`` from ``base_quat`` or from the readings of an IMU."""
+    """Return the log with ``base_ang_vel`` and ``projected_gravity``: from ``base_quat`` or an IMU if missing."""
     columns, findings = dict(log.columns), []
     for name, imu in spec["imus"].items():
         turn = quat_to_matrix(torch.tensor(imu["quat"], dtype=torch.float64)).numpy()
@@ -128,12 +151,16 @@ def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[Log
     if log.has(quaternion) and gravity[0] not in columns:
         quats, gyro = log.table(quaternion), log.table(columns_of("base_ang_vel", 3, ()))
         orders = [np.array([projected_gravity(quat) for quat in np.roll(quats, shift, axis=1)]) for shift in (0, 1)]
-        errors = [float(np.median(np.abs(np.diff(g, axis=0) + np.cross(gyro, g)[1:] * spec["step_dt"]))) for g in orders]
+        # The gyroscope turns gravity by -omega x gravity; over six rows, this motion exceeds the noise.
+        moved = [np.diff(g, axis=0) + np.cross(gyro, g)[1:] * spec["step_dt"] for g in orders]
+        errors = [float(np.median(np.linalg.norm(np.diff(np.cumsum(m, axis=0)[::6], axis=0), axis=1))) for m in moved]
         upright = [float(-np.median(g[:, 2])) for g in orders]
-        exchanged = upright[1] > 0.5 and (upright[0] < 0.5 or errors[1] < 0.5 * errors[0])
+        exchanged = upright[1] > 0.5 and (upright[0] < 0.5 or errors[1] < 0.7 * errors[0])
         columns |= dict(zip(gravity, orders[exchanged].T.astype(np.float64), strict=True))
         if exchanged:
-            evidence = f"the gravity of (x, y, z, w) points down by {upright[1]:.3f}, that of (w, x, y, z) by {upright[0]:.3f}"
+            evidence = (
+                f"the gravity of (x, y, z, w) points down by {upright[1]:.3f}, that of (w, x, y, z) by {upright[0]:.3f}"
+            )
             wrong, change = "the quaternion base_quat is in the order (x, y, z, w)", "reorder base_quat to (w, x, y, z)"
             findings.append(LogFinding("order", tuple(quaternion), wrong, evidence, change))
     return RobotLog(log.path, columns), findings
@@ -145,7 +172,9 @@ def clock_findings(log: RobotLog, step_dt: float) -> list[LogFinding]:
     if abs(step - step_dt) <= 0.1 * step_dt:
         return []
     evidence = f"the median time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
-    return [LogFinding("time", ("time",), "the log's rows are not control steps", evidence, "log each step, in s", step)]
+    return [
+        LogFinding("time", ("time",), "the log's rows are not control steps", evidence, "log each step, in s", step)
+    ]
 
 
 def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
@@ -159,7 +188,9 @@ def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
             moves = np.flatnonzero(change > 0)
             ends = np.concatenate(([-1], moves, [len(change)]))
             held = np.diff(ends) - 1  # how many rows repeat the row before, between two changes of the value
-            jumps = np.append(change[moves], np.inf)
+            # A last value that never changes is old if it stays for much longer than every value before.
+            frozen = held[-1] >= _FROZEN_ROWS and held[-1] > _HELD_JUMP * held[:-1].max(initial=0)
+            jumps = np.append(change[moves], np.inf if frozen else 0.0)
             resolution = float(change[moves].min(initial=np.inf))
             stale = held[(held >= _HELD_ROWS - 1) & (jumps > _HELD_JUMP * resolution)].sum()
             if stale > _HELD_SHARE * len(change):
@@ -237,7 +268,9 @@ class _Search:
         self.starts = simulation.windows(log, _MANY)
         if len(self.starts) < _LEAST_WINDOWS:
             message = f"the log has only {len(self.starts)} gapless pieces of 0.1 s"
-            raise LogError(message, key=str(log.path), expected=f"at least {_LEAST_WINDOWS}, rows one control step apart")
+            raise LogError(
+                message, key=str(log.path), expected=f"at least {_LEAST_WINDOWS}, rows one control step apart"
+            )
         logged = log.table(columns)
         motion = (logged[self.starts + simulation.length] - logged[self.starts]).std(axis=0)
         floors = np.array([_SMALLEST[column.split(".")[0]] for column in columns])
@@ -260,7 +293,7 @@ class _Search:
             findings.append(self.finding(best, spreads))
             self.accepted = best.sensing.after(self.accepted)
         doubtful = [f for f, s in zip(possible, scores, strict=True) if abs(s) < _CERTAIN and not f.is_fitted]
-        self.undecided = list(dict.fromkeys(f"{fault.kind} of {', '.join(fault.columns)}" for fault in doubtful))
+        self.undecided = list(dict.fromkeys(f"whether {fault.wrong}" for fault in doubtful))
         return findings
 
     def fitted(self, candidates: Sequence[Fault]) -> Fault:
@@ -275,7 +308,7 @@ class _Search:
         return best
 
     def scores(self, faults: Sequence[Fault], starts: np.ndarray) -> tuple[Numbers, Numbers]:
-        """Return the score of each fault, (F,), and the spreads of the errors without and with each fault, (1 + F, C)."""
+        """Return the scores of F faults, (F,), and the spreads of errors without and with each fault, (1 + F, C)."""
         models = [self.accepted, *(fault.sensing.after(self.accepted) for fault in faults)]
         parts = {key: np.concatenate([getattr(model, key) for model in models]) for key in vars(self.accepted)}
         errors = self.simulation.errors(self.log, Sensing(**parts), starts)
@@ -296,6 +329,9 @@ class _Search:
         none = Sensing.identity(1, len(self.columns), self.accepted.gain.shape[1])
         rows = (self.starts[:, None] + np.arange(1, self.simulation.length + 1)).ravel()
         logged = self.log.table(self.columns)[rows]
-        shown = [logged - self.simulation.errors(self.log, model, self.starts)[0].reshape(logged.shape) for model in (none, self.accepted)]
+        shown = [
+            logged - self.simulation.errors(self.log, model, self.starts)[0].reshape(logged.shape)
+            for model in (none, self.accepted)
+        ]
         facts = (len(self.log), len(self.starts), findings, self.undecided, self.columns)
-        return LogReport(*facts, self.log.time[rows], logged, *shown, difference)
+        return LogReport(*facts, self.log.time[rows], logged, shown[0], shown[1], difference)

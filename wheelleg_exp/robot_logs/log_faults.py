@@ -106,7 +106,9 @@ def possible_faults(
             wrong = f"{what}: {column} is {{value:+.3g}} too high"
             yield Fault("offset", (column,), wrong, change, make.moved(column), value, True, 0.0, 0.02)
     for axes in _axis_permutations():
-        text = "(" + ", ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in axes) + ")"
+        text = (
+            "(" + ", ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in axes) + ")"
+        )
         for columns, what in ((gyro, "base_ang_vel"), (gravity, "projected_gravity"), (gyro + gravity, "the IMU")):
             block = np.kron(np.eye(len(columns) // 3), axes)
             inverted = np.array_equal(axes, -np.eye(3)) and columns == gravity
@@ -121,13 +123,13 @@ def possible_faults(
             wrong = f"the {what} respond {lag} control step{'s' if lag > 1 else ''} later to the targets than simulated"
             change = "remove the delay of sensors, bus, or drives, or train with it (env.actions.<term>.delay)"
             yield Fault("delay", tuple(columns), wrong, change, make.late(columns), lag)
-    sets = {tuple(names) for names in [*([name] for name in joint_names), *groups, joint_names]}
-    for names in sorted(sets, key=lambda names: (len(names), names)):
+    drives = dict.fromkeys(tuple(names) for names in [*([name] for name in joint_names), *groups, joint_names])
+    for names in drives:
         wrong = f"the drives of {', '.join(names)} respond with {{value:.3g}} times the gains of the simulation"
         change = "set stiffness and damping of the drives to those of policy.json, or train with the drives' gains"
         for value in _GAINS:
-            columns = tuple(f"joint_pos.{name}" for name in names)
-            yield Fault("gain", columns, wrong, change, make.driven(names), value, True, 1.0, 0.07)
+            driven = tuple(f"joint_pos.{name}" for name in names)
+            yield Fault("gain", driven, wrong, change, make.driven(names), value, True, 1.0, 0.07)
         wrong = f"the drives of {', '.join(names)} act against their targets"
         if len(names) == 1:
             yield Fault("sign", names, wrong, "invert the motor's direction", make.driven(names), -1.0)
@@ -146,7 +148,10 @@ def _joint_faults(
                 yield from _scales(make, columns, columns[0], _SCALES)
         if name not in rolling:
             column = f"joint_pos.{name}"
-            wrong, change = f"the encoder of {name} reads {{value:+.3g}} rad too much", f"subtract {{value:.3g}} rad from {column}"
+            wrong, change = (
+                f"the encoder of {name} reads {{value:+.3g}} rad too much",
+                f"subtract {{value:.3g}} rad from {column}",
+            )
             for value in _ANGLES:
                 yield Fault("offset", (column,), wrong, change, make.moved(column), value, True, 0.0, 0.01)
     for one, other in combinations(joint_names, 2):

@@ -6,9 +6,10 @@ factor on stiffness and damping), delay of the targets, and effort scale (logged
 residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All joints are fitted
 together, because gravity and the reactions between links tell the torque of a motor from its inertia.
 
-The 95 % confidence intervals are x ± t sqrt(s² C) with C = diag((JᵀJ)⁻¹), s² = rᵀr / (n - p), the residuals r (n,), their
-Jacobian J (n, p), and the 0.975 quantile t of Student's distribution with n - p degrees of freedom. The intervals assume
-independent noise and a model that can repeat the log.
+The 95 % confidence intervals are x ± 1.96 sqrt(diag(C)) with the covariance C = (JᵀJ)⁻¹ M (JᵀJ)⁻¹ of Newey and West
+(1987): J (n, p) is the Jacobian of the residuals r (n,), u_t = Jᵀr summed over the residuals of one row, and
+M = Σ_t u_t u_tᵀ + Σ_k (1 - k / L) Σ_t (u_t u_{t-k}ᵀ + u_{t-k} u_tᵀ), with L the rows of 0.5 s. The sum over k accounts
+for errors that are correlated in time, such as those of an inexact start or of a friction that the model lacks.
 """
 
 from __future__ import annotations
@@ -35,9 +36,18 @@ UNITS = dict(zip(PARAMETERS, ("kg·m²", "N·m", "N·m·s/rad", "1", "s", "1"), 
 READINGS = ("joint_pos", "joint_vel", "joint_effort")
 _REST_S, _SKIPPED_S, _HEIGHT = 0.3, 0.05, 10.0
 _AVERAGED = 6  # rows
-_STEP, _MOST_EVALUATIONS, _ROUNDS = 1e-3, 25, 2
+_CORRELATED_S = 0.5
+_MOST_FITS, _BAD = 4, 1.5  # a fit is bad if its error is larger than 1.5 times the noise
+_STEP, _MOST_EVALUATIONS = 1e-3, 25
 _GRAVITY = 9.81
-_FIRST = (0.1, 0.5, 0.5, 0.2, 0.5, 0.2)  # least first guess of each unknown, because a joint without friction never sticks
+_FIRST = (
+    0.1,
+    0.5,
+    0.5,
+    0.2,
+    0.5,
+    0.2,
+)  # least first guess of each unknown, because a joint without friction never sticks
 _LEAST_LOAD = 0.005  # least torque of gravity, as a share of the effort limit, from which an effort scale is found
 
 
@@ -66,6 +76,7 @@ class Identified:
     pieces: tuple[int, int]
     drives: Mapping[str, Any]
     physics_dt: float
+    groups: Mapping[str, list[str]]  # the joints of each actuator group
 
 
 Weight = tuple[float, float]  # a mass, kg, and its distance from the joint's axis, m
@@ -133,7 +144,9 @@ class ChirpSimulation:
         bodies = model.jnt_bodyid[joints]
         away = np.cross(data.subtree_com[bodies] - data.xanchor[joints], data.xaxis[joints])
         load = model.body_subtreemass[bodies] * np.linalg.norm(away, axis=1) * _GRAVITY
-        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * self.drives["effort_limit"].numpy()[self.driven]
+        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * self.drives["effort_limit"].numpy()[
+            self.driven
+        ]
 
     def play(self, values: Numbers, targets: torch.Tensor, start: torch.Tensor) -> Numbers:
         """Return positions, speeds, and efforts of N simulations after each control step, (T, N, 3, J).
@@ -157,7 +170,9 @@ class ChirpSimulation:
         for step in range(len(held)):
             now, before = ((step - lag - k).clamp(min=0) for k in (0, 1))
             delayed = held[step].clone()
-            delayed[:, :, driven] = torch.lerp(held[now, :, rows, columns], held[before, :, rows, columns], share[..., None]).movedim(-1, 0)
+            delayed[:, :, driven] = torch.lerp(
+                held[now, :, rows, columns], held[before, :, rows, columns], share[..., None]
+            ).movedim(-1, 0)
             if step % self.decimation == 0:
                 robot.begin_control_step()
             robot.set_joint_position_target(delayed[0])
@@ -176,7 +191,7 @@ class ChirpSimulation:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """S pieces of a log that start at rest, T rows each: targets, start positions, and readings; NaN after their end."""
+    """S pieces of a log that start at rest, T rows each: targets, start states, and readings; NaN after their end."""
 
     targets: torch.Tensor  # (T, 3, S, J)
     start: torch.Tensor  # (S, 2, J)
@@ -205,18 +220,18 @@ def identify(
     pieces = _pieces(log, probe)
     half = (pieces.start.shape[0] + 1) // 2
     fitted, held_out = pieces.of(slice(half)), pieces.of(slice(half, None))
-    before = x = probe.start_values(_delays(env, probe.dt))
+    before = probe.start_values(_delays(env, probe.dt))
     free = np.broadcast_to([name != "effort_scale" for name in PARAMETERS], before.shape).copy()
-    free[:, 5] = probe.inertias()[1] & bool(np.isfinite(pieces.logged[:, :, 2]).any())
+    free[:, 5] = (probe.inertias()[1] != 0) & np.isfinite(pieces.logged[:, :, 2]).any()
     simulation = ChirpSimulation(env, mjcf, (1 + int(free.sum())) * len(fitted.start), gravity, weights)
     noise = _noise(fitted.logged)
-    for _ in range(_ROUNDS):
-        fit = _Fit(simulation, fitted, x, free, noise, progress)
-        solution = fit.solve()
-        x = fit.values(solution.x)
-        errors = _errors(simulation, x[None], fitted)[0]
-        noise = np.maximum(np.sqrt(np.nanmean(errors**2, axis=(0, 1), keepdims=True)), 0.2 * noise)
-    half_width = fit.intervals(solution, noise)
+    x = _first_fit(simulation, fitted, before, free, noise, progress)
+    errors = _errors(simulation, x[None], fitted)[0]
+    weights_of_fit = np.maximum(np.sqrt(np.nanmean(errors**2, axis=(0, 1), keepdims=True)), 0.2 * noise)
+    fit = _Fit(simulation, fitted, x, free, weights_of_fit, progress)
+    solution = fit.solve()
+    x = fit.values(solution.x)
+    half_width = fit.intervals(solution)
     low, high = np.maximum(x - half_width, 0.0), x + half_width
     scores = [_scores(simulation, np.stack((before, x)), part, noise) for part in (fitted, held_out)]
     parameters = [
@@ -226,7 +241,8 @@ def identify(
         if free[row, k]
     ]
     drives = {key: dict(zip(probe.names, values.tolist(), strict=True)) for key, values in probe.drives.items()}
-    return Identified(parameters, scores[0], scores[1], (half, len(held_out.start)), drives, probe.dt)
+    groups = {name: list(group.joint_names) for name, group in probe.robot.actuators.items()}
+    return Identified(parameters, scores[0], scores[1], (half, len(held_out.start)), drives, probe.dt, groups)
 
 
 def _delays(env: Mapping[str, Any], dt: float) -> dict[str, float]:
@@ -292,9 +308,31 @@ def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces) -> Nu
     return errors
 
 
-def _scores(
-    simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, noise: Numbers
-) -> tuple[float, float]:
+def _first_fit(
+    simulation: ChirpSimulation,
+    pieces: _Pieces,
+    before: Numbers,
+    free: Numbers,
+    noise: Numbers,
+    progress: Callable[[str], None] | None,
+) -> Numbers:
+    """Return the parameters of the best of a few fits: joints that fit badly start again, with longer delays."""
+    start, best, least = before, before, np.inf
+    for attempt in range(1, _MOST_FITS + 1):
+        fit = _Fit(simulation, pieces, start, free, noise, progress)
+        solution = fit.solve()
+        if solution.cost < least:
+            best, least = fit.values(solution.x), solution.cost
+        errors = (_errors(simulation, best[None], pieces)[0] / noise)[..., simulation.driven]
+        bad = np.sqrt(np.nanmean(errors**2, axis=(0, 1, 2))) > _BAD
+        if not bad.any():
+            break
+        start = np.where(bad[:, None], before, best)
+        start[bad, 4] = best[bad, 4] + (attempt - 0.5) * simulation.dt
+    return best
+
+
+def _scores(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, noise: Numbers) -> tuple[float, float]:
     if not len(pieces.start):
         return (float("nan"), float("nan"))
     before, after = np.sqrt(np.nanmean((_errors(simulation, values, pieces) / noise) ** 2, axis=(1, 2, 3, 4)))
@@ -358,7 +396,7 @@ class _Fit:
         return self._evaluate(unknowns)[1]
 
     def _evaluate(self, unknowns: Numbers) -> tuple[Numbers, Numbers]:
-        """Return the residuals (n,) and their Jacobian (n, p) by forward differences, all in one batch of simulations."""
+        """Return the residuals (n,) and their Jacobian (n, p) by forward differences, in one batch of simulations."""
         if self.known is None or self.known[0] != unknowns.tobytes():
             steps = _STEP * np.maximum(1.0, np.abs(unknowns))
             tried = np.stack([self.values(point) for point in (unknowns, *(unknowns + np.diag(steps)))])
@@ -369,14 +407,19 @@ class _Fit:
                 self.progress(f"prediction error {np.sqrt(np.mean(errors[0] ** 2)):.4g} times the noise")
         return self.known[1:]
 
-    def intervals(self, solution: Any, noise: Numbers) -> Numbers:
+    def intervals(self, solution: Any) -> Numbers:
         """Return half the widths of the 95 % confidence intervals of all parameters, (driven joints, 6)."""
-        weight = np.broadcast_to(self.noise / noise, self.pieces.logged.shape)[np.isfinite(self.pieces.logged)]
-        residuals, jacobian = solution.fun * weight, solution.jac * weight[:, None]
-        degrees = len(residuals) - jacobian.shape[1]
-        covariance = float(residuals @ residuals) / degrees * np.linalg.pinv(jacobian.T @ jacobian)
+        inside = np.isfinite(self.pieces.logged)
+        scores = np.zeros((*inside.shape, len(solution.x)))
+        scores[inside] = solution.jac * solution.fun[:, None]
+        scores, lags = scores.sum(axis=(2, 3)), round(_CORRELATED_S / (self.simulation.dt * self.simulation.decimation))
+        middle = np.einsum("tsp,tsq->pq", scores, scores)
+        for lag in range(1, lags):
+            product = np.einsum("tsp,tsq->pq", scores[lag:], scores[:-lag])
+            middle += (1 - lag / lags) * (product + product.T)
+        inverse = np.linalg.pinv(solution.jac.T @ solution.jac)
         # The change of the parameters with the unknowns carries the covariance from the unknowns to the parameters.
         steps = 1e-6 * np.eye(len(solution.x))
         change = np.stack([(self.values(solution.x + d) - self.values(solution.x - d)).ravel() / 2e-6 for d in steps])
-        spread = np.sqrt(np.einsum("pv,pq,qv->v", change, covariance, change)).reshape(self.start.shape)
-        return float(stats.t.ppf(0.975, degrees)) * spread
+        variance = np.einsum("pv,pq,qv->v", change, inverse @ middle @ inverse, change)
+        return float(stats.norm.ppf(0.975)) * np.sqrt(np.maximum(variance, 0.0)).reshape(self.start.shape)

@@ -1,0 +1,136 @@
+"""A log of a simulated robot has no findings; ten seeded faults are found and named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jobs.small import refused, trained_once, wheelleg
+
+from wheelleg_exp.robot_logs.log_comparison import compare_log, held_findings, noise_of, with_imu
+from wheelleg_exp.robot_logs.robot_log import RobotLog
+
+from .made import Columns, drive
+from .test_robot_log import write_csv
+
+JOINTS = ("l01", "r01", "l02", "r02", "l03", "r03")
+
+
+def log_of(columns: Columns) -> RobotLog:
+    return RobotLog(Path("log.csv"), columns)
+
+
+def exchanged(log: Columns) -> Columns:
+    names = {"joint_vel.l02": "joint_vel.l03", "joint_vel.l03": "joint_vel.l02"}
+    return {name: log[names.get(name, name)] for name in log}
+
+
+def scaled(factor: float, *columns: str):
+    return lambda log: {name: values * factor if name in columns else values for name, values in log.items()}
+
+
+def late(log: Columns) -> Columns:
+    return {n: np.concatenate((v[:1], v[:1], v[:-2])) if n.startswith("joint_") else v for n, v in log.items()}
+
+
+def turned(log: Columns) -> Columns:
+    found = dict(log)
+    for reading in ("base_ang_vel", "projected_gravity"):
+        found |= {f"{reading}.x": log[f"{reading}.y"], f"{reading}.y": -log[f"{reading}.x"]}
+    return found
+
+
+def moved(log: Columns) -> Columns:
+    return log | {"joint_pos.l02": log["joint_pos.l02"] + 0.05}
+
+
+def stale(log: Columns) -> Columns:
+    found = {name: values.copy() for name, values in log.items()}
+    for axis in "xyz":
+        for row in range(60, 240, 12):
+            found[f"base_ang_vel.{axis}"][row : row + 5] = found[f"base_ang_vel.{axis}"][row]
+    return found
+
+
+def noisy(log: Columns) -> Columns:
+    noise = 0.5 * np.random.default_rng(0).standard_normal(len(log["time"]))
+    return log | {"joint_vel.r01": log["joint_vel.r01"] + noise}
+
+
+FAULTS = {
+    "order": (exchanged, {"joint_vel.l02", "joint_vel.l03"}, None),
+    "sign": (scaled(-1.0, "joint_vel.r03"), {"joint_vel.r03"}, None),
+    "scale": (scaled(1.3, "joint_vel.l03"), {"joint_vel.l03"}, 1.3),
+    "delay": (late, {f"{r}.{j}" for r in ("joint_pos", "joint_vel") for j in JOINTS}, 2),
+    "frame": (turned, {f"{r}.{a}" for r in ("base_ang_vel", "projected_gravity") for a in "xyz"}, None),
+    "unit": (scaled(30 / np.pi, *(f"joint_vel.{j}" for j in JOINTS)), {f"joint_vel.{j}" for j in JOINTS}, 9.549),
+    "offset": (moved, {"joint_pos.l02"}, 0.05),
+    "stale": (stale, {f"base_ang_vel.{a}" for a in "xyz"}, None),
+    "noise": (noisy, {"joint_vel.r01"}, 0.5),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_seeded_fault_is_the_only_finding(stand, clean, kind):
+    fault, columns, value = FAULTS[kind]
+    report = compare_log(log_of(fault(clean)), *stand)
+    (finding,) = report.findings
+    assert (finding.kind, set(finding.columns)) == (kind, columns)
+    assert value is None or finding.value == pytest.approx(value, rel=0.15)
+
+
+@pytest.mark.slow
+def test_drives_with_wrong_gains_are_found(stand):
+    (finding,) = compare_log(log_of(drive(stand[0], 5.0, gain=0.75)), *stand).findings
+    assert finding.kind == "gain"
+    assert finding.value == pytest.approx(0.75, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 1.0, 3.0])
+def test_a_log_without_faults_has_no_findings(stand, noise):
+    report = compare_log(log_of(drive(stand[0], 5.0, noise=noise, seed=7)), *stand)
+    assert report.findings == []
+    assert report.policy_difference < 1e-6
+
+
+def test_the_noise_of_a_slow_motion_is_measured():
+    rng, time = np.random.default_rng(0), np.arange(2000) / 60
+    values = np.stack([3 * np.sin(time) + s * rng.standard_normal(2000) for s in (0.1, 1.0)], axis=1)
+    assert noise_of(values) == pytest.approx([0.1, 1.0], rel=0.1)
+
+
+def test_a_coarse_encoder_at_rest_is_not_stale(clean):
+    coarse = np.round(np.linspace(0.0, 0.05, 300) / 0.01) * 0.01
+    assert held_findings(log_of({"time": np.arange(300.0), "joint_pos.a": coarse}), ["joint_pos.a"]) == []
+    frozen = np.where(np.arange(300) > 150, 0.3, np.random.default_rng(0).standard_normal(300))
+    assert len(held_findings(log_of({"time": np.arange(300.0), "joint_pos.a": frozen}), ["joint_pos.a"])) == 1
+
+
+@pytest.mark.parametrize(("shift", "findings"), [(0, 0), (-1, 1)])
+def test_the_order_of_a_quaternion_is_checked(clean, shift, findings):
+    gravity = np.stack([clean[f"projected_gravity.{axis}"] for axis in "xyz"], axis=1)
+    pitch, roll = np.arcsin(gravity[:, 0]), np.arctan2(-gravity[:, 1], -gravity[:, 2])
+    quats = [np.cos(pitch / 2) * np.cos(roll / 2), np.cos(pitch / 2) * np.sin(roll / 2)]
+    quats += [np.sin(pitch / 2) * np.cos(roll / 2), -np.sin(pitch / 2) * np.sin(roll / 2)]
+    columns = {name: values for name, values in clean.items() if not name.startswith("projected")}
+    columns |= {f"base_quat.{p}": v for p, v in zip("wxyz", np.roll(quats, shift, axis=0), strict=True)}
+    log, found = with_imu(log_of(columns), {"imus": {}, "step_dt": 1 / 60})
+    assert [finding.kind for finding in found] == ["order"] * findings
+    assert log.columns["projected_gravity.x"] == pytest.approx(gravity[:, 0], abs=0.02)
+
+
+@pytest.mark.train
+def test_the_command_compares_plots_and_refuses(clean, tmp_path, tmp_path_factory):
+    run, log = trained_once(tmp_path_factory).run, write_csv(tmp_path / "log.csv", clean)
+    said = wheelleg("inspect", log, "--against", run.path, "--plot", tmp_path / "log.png", "--json")
+    document = json.loads(said.out)
+    assert said.status == 1, said.err
+    assert [finding["kind"] for finding in document["findings"]] == ["policy"]  # The log is of another policy.
+    assert (tmp_path / "log.png").stat().st_size > 10_000
+    assert "--stats" in refused("inspect", log, "--against", run.path, "--stats")
+    lacking = write_csv(tmp_path / "lacking.csv", {k: v for k, v in clean.items() if k != "joint_vel.l03"})
+    assert "joint_vel.l03" in refused("inspect", lacking, "--against", run.path)
