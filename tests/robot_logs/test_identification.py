@@ -42,7 +42,7 @@ def test_six_parameters_of_each_motor_are_found_within_5_percent(tmp_path, monke
     truth["effort_scale"] = rng.uniform(0.8, 1.2, 6)
     log = write_csv(tmp_path / "chirps.csv", chirp(bundle, truth, with_weights))
     weights = [word for joint in ("l03", "r03") for word in ("--weight", f"{joint}={MASS},{RADIUS}")]
-    found = json.loads(succeed("identify", log, "--robot", "physical", "-o", "mine.yaml", *weights, "--json").out)
+    found = json.loads(succeed("identify", log, "--robot", "physical", "--output", "mine.yaml", *weights, "--json").out)
     assert len(found["parameters"]) == 6 * len(PARAMETERS)
     inside = 0
     for one in found["parameters"]:

@@ -20,6 +20,7 @@ _FILES = {
     "`python runner.py` compares each step",
     "simulate.py": "the robot in MuJoCo: `python simulate.py --seconds 20 --view`; needs numpy and mujoco, `--onnx` "
     "also onnxruntime or onnx, `--view` also a display",
+    "chirps.py": "moves one joint after another, for `wheelleg identify`: `python chirps.py LOG.csv` simulates",
     "robot/robot.xml": "the robot that was simulated, with its meshes",
     "robot/scene.xml": "the same with training's drives, friction and solver on level ground",
 }
