@@ -6,10 +6,11 @@ factor on stiffness and damping), delay of the targets, and effort scale (logged
 residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All joints are fitted
 together, because gravity and the reactions between links tell the torque of a motor from its inertia.
 
-The 95 % confidence intervals are x ± 1.96 sqrt(diag(C)) with the covariance C = (JᵀJ)⁻¹ M (JᵀJ)⁻¹ of Newey and West
-(1987): J (n, p) is the Jacobian of the residuals r (n,), u_t = Jᵀr summed over the residuals of one row, and
-M = Σ_t u_t u_tᵀ + Σ_k (1 - k / L) Σ_t (u_t u_{t-k}ᵀ + u_{t-k} u_tᵀ), with L the rows of 0.5 s. The sum over k accounts
-for errors that are correlated in time, such as those of an inexact start or of a friction that the model lacks.
+The state at the start of each chirp is measured with noise too. At the end, a Gauss-Newton step treats the errors of
+the start states as further unknowns with the deviation of their noise, eliminates them, and gives the 95 % confidence
+intervals x ± 1.96 sqrt(s² diag(N⁻¹)): N = JᵀJ - Σ Bᵢ (SᵢᵀSᵢ + P)⁻¹ Bᵢᵀ with Bᵢ = JᵀSᵢ, the Jacobians J of the residuals
+r (n,) for the p parameters and Sᵢ for the start state of chirp i, the inverse variances P of the start states, and
+s² = rᵀr / (n - p). The intervals assume white noise and a model that can repeat the log.
 """
 
 from __future__ import annotations
@@ -36,7 +37,6 @@ UNITS = dict(zip(PARAMETERS, ("kg·m²", "N·m", "N·m·s/rad", "1", "s", "1"), 
 READINGS = ("joint_pos", "joint_vel", "joint_effort")
 _REST_S, _SKIPPED_S, _HEIGHT = 0.3, 0.05, 10.0
 _AVERAGED = 6  # rows
-_CORRELATED_S = 0.5
 _MOST_FITS, _BAD = 4, 1.5  # a fit is bad if its error is larger than 1.5 times the noise
 _STEP, _MOST_EVALUATIONS = 1e-3, 25
 _GRAVITY = 9.81
@@ -230,8 +230,7 @@ def identify(
     weights_of_fit = np.maximum(np.sqrt(np.nanmean(errors**2, axis=(0, 1), keepdims=True)), 0.2 * noise)
     fit = _Fit(simulation, fitted, x, free, weights_of_fit, progress)
     solution = fit.solve()
-    x = fit.values(solution.x)
-    half_width = fit.intervals(solution)
+    x, half_width = fit.refined(solution)
     low, high = np.maximum(x - half_width, 0.0), x + half_width
     scores = [_scores(simulation, np.stack((before, x)), part, noise) for part in (fitted, held_out)]
     parameters = [
@@ -290,14 +289,20 @@ def _noise(logged: Numbers) -> Numbers:
     return np.maximum(np.sqrt(third / 0.4549 / 20), 1e-3 * np.nanstd(logged, axis=(0, 1), keepdims=True) + 1e-12)
 
 
-def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces) -> Numbers:
-    """Return logged minus simulated readings with M sets of parameters, (M, T, S, 3, J); NaN without a reading."""
+def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shifts: Numbers | None = None) -> Numbers:
+    """Return logged minus simulated readings with M sets of parameters, (M, T, S, 3, J); NaN without a reading.
+
+    ``shifts`` (M, 2, J) is added to the start positions and speeds.
+    """
     count, width, size = len(values), len(pieces.start), simulation.scene.num_envs
     if count * width > size:
-        return np.concatenate([_errors(simulation, value[None], pieces) for value in values])
+        shifts = np.zeros((count, 2, len(simulation.names))) if shifts is None else shifts
+        pairs = zip(values, shifts, strict=True)
+        return np.concatenate([_errors(simulation, value[None], pieces, shift[None]) for value, shift in pairs])
     spare = np.arange(size) % (count * width)  # Spare simulations repeat the first ones.
     model, piece = np.divmod(spare, width)
-    played = simulation.play(values[model], pieces.targets[:, :, piece], pieces.start[piece])[:, : count * width]
+    start = pieces.start[piece] + (0.0 if shifts is None else torch.from_numpy(shifts[model]))
+    played = simulation.play(values[model], pieces.targets[:, :, piece], start)[:, : count * width]
     played = played.reshape(len(played), count, width, *played.shape[2:]).swapaxes(0, 1)
     scale = np.ones((count, 1, 1, 3, len(simulation.names)))
     scale[:, 0, 0, 2, simulation.driven] = values[..., 5]
@@ -358,6 +363,7 @@ class _Fit:
         self.simulation, self.pieces, self.start, self.free = simulation, pieces, start, free
         self.noise, self.progress = noise, progress
         self.known: tuple[bytes, Numbers, Numbers] | None = None
+        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), start.shape)[free]
         self.inertia = simulation.inertias()[0]
         ones, effort = np.ones(len(start)), simulation.drives["effort_limit"].clamp(max=1e3).numpy()[simulation.driven]
         inertia = self.inertia + np.maximum(start[:, 0], 1e-6)
@@ -384,9 +390,8 @@ class _Fit:
 
     def solve(self) -> Any:
         """Return scipy's solution."""
-        low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), self.start.shape)[self.free]
         start = np.maximum(self.ratios(self.start), _FIRST)[self.free]
-        limits = {"bounds": (low, np.inf), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
+        limits = {"bounds": (self.low, np.inf), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
         return optimize.least_squares(self.residuals, start, self.jacobian, ftol=1e-6, **limits)
 
     def residuals(self, unknowns: Numbers) -> Numbers:
@@ -407,19 +412,24 @@ class _Fit:
                 self.progress(f"prediction error {np.sqrt(np.mean(errors[0] ** 2)):.4g} times the noise")
         return self.known[1:]
 
-    def intervals(self, solution: Any) -> Numbers:
-        """Return half the widths of the 95 % confidence intervals of all parameters, (driven joints, 6)."""
-        inside = np.isfinite(self.pieces.logged)
-        scores = np.zeros((*inside.shape, len(solution.x)))
-        scores[inside] = solution.jac * solution.fun[:, None]
-        scores, lags = scores.sum(axis=(2, 3)), round(_CORRELATED_S / (self.simulation.dt * self.simulation.decimation))
-        middle = np.einsum("tsp,tsq->pq", scores, scores)
-        for lag in range(1, lags):
-            product = np.einsum("tsp,tsq->pq", scores[lag:], scores[:-lag])
-            middle += (1 - lag / lags) * (product + product.T)
-        inverse = np.linalg.pinv(solution.jac.T @ solution.jac)
+    def refined(self, solution: Any) -> tuple[Numbers, Numbers]:
+        """Return all parameters (driven joints, 6) after a last step, and half the widths of their 95 % intervals."""
+        inside, width = np.isfinite(self.pieces.logged), 2 * len(self.simulation.names)
+        shifts = 1e-3 * np.eye(width).reshape(width, 2, -1)
+        values = np.repeat(self.values(solution.x)[None], width, axis=0)
+        moved = (_errors(self.simulation, values, self.pieces, shifts) / self.noise)[:, inside]
+        starts = (moved - solution.fun).T / 1e-3
+        piece = np.broadcast_to(np.arange(inside.shape[1])[:, None, None], inside.shape)[inside]
+        deviation = self.noise[0, 0, :2] / np.sqrt(_AVERAGED)
+        normal, slope = solution.jac.T @ solution.jac, solution.jac.T @ solution.fun
+        for number in range(inside.shape[1]):
+            own, errors = starts[piece == number], solution.fun[piece == number]
+            cross = solution.jac[piece == number].T @ own
+            weight = np.linalg.inv(own.T @ own + np.diag(1 / deviation.ravel() ** 2))
+            normal, slope = normal - cross @ weight @ cross.T, slope - cross @ weight @ own.T @ errors
+        covariance = 2 * solution.cost / (len(solution.fun) - len(solution.x)) * np.linalg.pinv(normal)
+        x = np.maximum(solution.x - np.linalg.pinv(normal) @ slope, self.low)
         # The change of the parameters with the unknowns carries the covariance from the unknowns to the parameters.
-        steps = 1e-6 * np.eye(len(solution.x))
-        change = np.stack([(self.values(solution.x + d) - self.values(solution.x - d)).ravel() / 2e-6 for d in steps])
-        variance = np.einsum("pv,pq,qv->v", change, inverse @ middle @ inverse, change)
-        return float(stats.norm.ppf(0.975)) * np.sqrt(np.maximum(variance, 0.0)).reshape(self.start.shape)
+        change = [(self.values(x + d) - self.values(x - d)).ravel() / 2e-6 for d in 1e-6 * np.eye(len(x))]
+        variance = np.einsum("pv,pq,qv->v", change, covariance, change).reshape(self.start.shape)
+        return self.values(x), float(stats.norm.ppf(0.975)) * np.sqrt(np.maximum(variance, 0.0))

@@ -71,6 +71,14 @@ def test_without_an_armature_the_assets_is_used(tmp_path):
     assert env_of(path, env_config(robot=_hips(armature=None))).scene.model.joint("left_hip").armature[0] == 0.07
 
 
+def test_frictions_reach_the_model(tmp_path):
+    path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" frictionloss=".07"')
+    hips = _hips(friction={"right_hip": 0.2}, viscous_friction=0.3)
+    model = env_of(path, env_config(robot=hips)).scene.model
+    found = [(model.joint(name).frictionloss[0], model.joint(name).damping[0]) for name in ("left_hip", "right_hip")]
+    assert found == [(0.07, 0.3), (0.2, 0.3)]
+
+
 def test_numbers_by_joint_reach_their_joints(make_env):
     env = make_env(robot=_hips(stiffness={"left_.*": 5.0, "right_.*": 7.0}))
     assert [env.scene.model.actuator(f"{side}_hip").biasprm[1] for side in ("left", "right")] == [-5, -7]
