@@ -10,6 +10,7 @@ from typing import Any
 from wheelleg_exp.robot_logs.motor_identification import Identified, Parameter
 
 _KEYS = ("armature", "friction", "viscous_friction")
+_ROUNDED = 0.05  # A delay this close to a whole number of physics steps is rounded.
 _UNITS = ("kg·m²", "N·m", "N·m·s/rad")
 
 
@@ -31,7 +32,8 @@ def profile_text(found: Identified, base: str, name: str, log: str, groups: Mapp
         delays = [values[joint, "delay"] for joint in joints]
         steps = [p.value / found.physics_dt for p in delays]
         text = ", ".join(f"{p.joint} {1e3 * p.value:.3g} ms ({1e3 * p.low:.3g} to {1e3 * p.high:.3g})" for p in delays)
-        lines.append(f"    delay: [{math.floor(min(steps))}, {math.ceil(max(steps))}]   # physics steps; {text}")
+        bounds = [math.floor(min(steps) + _ROUNDED), math.ceil(max(steps) - _ROUNDED)]
+        lines.append(f"    delay: {[min(bounds), max(bounds)]}   # physics steps; {text}")
         for p in (values[joint, "effort_scale"] for joint in joints if (joint, "effort_scale") in values):
             interval = f"({p.low:.4g} to {p.high:.4g})"
             lines.append(f"    # The logged effort of {p.joint} is {p.value:.4g} times its torque {interval}.")
@@ -47,5 +49,5 @@ def _mapping(key: str, unit: str, values: Sequence[tuple[Parameter, Any]]) -> li
     lines = [f"    {key}:   # {unit}"]
     for p, factor in values:
         interval = f"{factor * p.low:.4g} to {factor * p.high:.4g}"
-        lines.append(f'      "{re.escape(p.joint)}": {factor * p.value:.5g}   # {interval}')
+        lines.append(f"      '{re.escape(p.joint)}': {factor * p.value:.5g}   # {interval}")
     return lines
