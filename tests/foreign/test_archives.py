@@ -227,6 +227,7 @@ OTHERS: dict[str, tuple[str, ...]] = {
     "doctor": ("doctor",),
     "compose": ("compose", "task=evil"),
     "explain": ("explain", "init_from", "init_from=runs/pipelines"),
+    "identify": ("identify", "runs/pipelines", "--robot", "physical"),
     "completion": ("completion", "bash"),
 }
 

@@ -140,7 +140,7 @@ def test_a_delay_counts_physics_steps(start_env):
 
 def test_lags_are_drawn_at_resets_for_their_environments(start_env):
     env = _delayed(start_env, [1, 4], num_envs=400)
-    lags = env.action_manager._delays["a"].lag
+    lags = env.action_manager.delays["a"].lag
     before = lags.clone()
     assert torch.bincount(before).tolist()[0] == 0
     assert all(60 < count < 140 for count in torch.bincount(before)[1:])

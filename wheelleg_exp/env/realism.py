@@ -27,9 +27,11 @@ def with_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
 
 def without_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     """Return the config section ``env`` of the same task with ``realism=none``."""
-    events = (env_cfg.get("realism") or {}).get("events", [])
-    kept = {name: node for name, node in env_cfg["events"].items() if name not in events}
-    return {**env_cfg, "events": kept, "realism": {}}
+    cfg, realism = {**env_cfg}, env_cfg.get("realism") or {}
+    for section in ("events", "curriculum"):
+        cfg[section] = {n: node for n, node in cfg[section].items() if n not in realism.get(section, [])}
+    cfg.pop("realism", None)
+    return cfg
 
 
 def with_action_delay(env_cfg: Mapping[str, Any], errors: ActionRealism) -> dict[str, Any]:
