@@ -9,7 +9,6 @@ from typing import Any, Literal
 import torch
 
 from wheelleg_exp.constraints import Broken, NonNegative, Share, relation
-from wheelleg_exp.state import Stateful
 
 Operation = Literal["add", "scale", "abs"]
 
@@ -111,7 +110,7 @@ class NoiseModelWithAdditiveBias:
         self._bias = None if saved["bias"] is None else saved["bias"].clone()
 
 
-class SensorErrors(Stateful):
+class SensorErrors:
     """The errors of a real sensor, in this order: lag, drift, noise, resolution, lost readings. Not in Isaac Lab.
 
     Args:
@@ -162,3 +161,14 @@ class SensorErrors(Stateful):
         self._time_constant = self._time_constant.index_copy(0, env_ids, drawn)
         self._is_first = self._is_first.index_fill(0, env_ids, True)
         self._walk = self._walk.index_fill(0, env_ids, 0.0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the filter, the walk, and the last reading of each environment, which a checkpoint saves."""
+        names = () if self._smooth is None else ("_smooth", "_walk", "_last", "_is_first", "_time_constant")
+        return {name: getattr(self, name).clone() for name in names}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._smooth = None
+        for name, value in saved.items():
+            setattr(self, name, value.clone())
