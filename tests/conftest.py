@@ -14,6 +14,8 @@ import pytest
 from wheelleg_exp.machine import prepare_threads, share_cores
 
 if TYPE_CHECKING:
+    from jobs.small import Trained
+
     from wheelleg_exp.env import ManagerBasedRLEnv
 
 # Set the variables before torch is imported; child processes inherit them and compute the same numbers.
@@ -91,6 +93,14 @@ def make_env() -> EnvMaker:
         return ManagerBasedRLEnv(env_config(name, **changes), ASSETS / f"{name}.xml", seed)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """Return the small training that tests share; a test that changes the run must copy it."""
+    from jobs.small import trained_once
+
+    return trained_once(tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """Fixtures for the corpus of real robots; tests without a corpus are skipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ The option ``pytest --corpus DIR`` or the variable ``WHEELLEG_USD_CORPUS`` gives
 corpus, the tests that need the corpus are skipped.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

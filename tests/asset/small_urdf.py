@@ -1,7 +1,5 @@
 """Small URDF files, written by hand, and the MuJoCo models of the converted robots."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +7,8 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.asset import Conversion, convert
+
+from .small_usd import tensor as tensor
 
 INERTIAL = """<inertial><mass value="1"/>
       <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -52,13 +52,6 @@ def at_zero(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return data
-
-
-def tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
-    """Return a body's inertia tensor about its centre of mass, in the body's axes."""
-    item, turn = model.body(body), np.zeros(9)
-    mujoco.mju_quat2Mat(turn, item.iquat)
-    return turn.reshape(3, 3) @ np.diag(item.inertia) @ turn.reshape(3, 3).T
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Small USD files, written by hand, and the MuJoCo models of the converted robots."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

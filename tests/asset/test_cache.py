@@ -1,7 +1,5 @@
 """``convert_cached`` reuses a cache entry, or converts the robot again if a source file has changed."""
 
-from __future__ import annotations
-
 import hashlib
 import multiprocessing
 import shutil

@@ -1,7 +1,5 @@
 """The command ``wheelleg convert``, its options, and its output."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Each kind of finding occurs for a robot file with that defect, and findings determine the verdict."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

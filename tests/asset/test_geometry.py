@@ -1,7 +1,5 @@
 """Rotations and polar decompositions equal those of MuJoCo and known matrix products."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

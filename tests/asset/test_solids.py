@@ -1,7 +1,5 @@
 """Volumes and moments of inertia of solids equal those of MuJoCo's compiler."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The values in the report's JSON equal those of the MuJoCo model of the MJCF."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """MuJoCo's own warnings during a conversion become warnings of the report."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """Warnings of small test robots, most of which have no colliders."""
 
-from __future__ import annotations
-
 from wheelleg_exp.asset import Conversion
 from wheelleg_exp.asset.report_writer import FALLS
 

@@ -11,6 +11,7 @@ import yaml
 from asset.corpus import ABSENT, corpus_folder
 from jobs.small import TINY, cache_of, succeed, wheelleg
 from patience import PATIENCE_S
+from project.conftest import _no_project_stays as _no_project_stays
 from project.robots import urdf
 from refused import refusal
 
@@ -21,13 +22,6 @@ from wheelleg_exp.project import create
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_folders")]
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _no_project_stays():
-    yield
-    for project in list(projects._joined.values()):
-        projects.forget(project.root)
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:

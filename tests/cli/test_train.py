@@ -3,16 +3,11 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
-from jobs.small import ITERATIONS, SMALL, trained_once, wheelleg
+from jobs.small import ITERATIONS, SMALL, wheelleg
 
 from wheelleg_exp.run import run_directory
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("own_folders")]
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    return trained_once(tmp_path_factory)
 
 
 def test_the_last_lines_name_the_run_and_the_next_commands(trained):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from jobs.replays import change_manifest
-from jobs.small import SMALL, Trained, cache_of, copied, only_run, succeed, trained_once, wheelleg
+from jobs.small import SMALL, cache_of, copied, only_run, succeed, wheelleg
 from refused import refusal
 
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -26,11 +26,6 @@ def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, RunDirectory]:
             succeed("train", *words, f"run.root={root}")
             runs[name] = RunDirectory.open(only_run(root), root)
     return runs
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    return trained_once(tmp_path_factory)
 
 
 @pytest.fixture

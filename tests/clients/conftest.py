@@ -7,18 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
-from jobs.small import cache_of
+from jobs.small import shared_cache
 
 
 @pytest.fixture(autouse=True, scope="module")
-def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with shared_cache(tmp_path_factory, threads=1):
         yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(autouse=True)

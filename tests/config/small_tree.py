@@ -1,7 +1,5 @@
 """Write a small stock config tree, a user config tree, and a module of targets into a folder."""
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 from typing import Any

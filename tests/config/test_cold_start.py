@@ -1,7 +1,5 @@
 """Count the bytecodes and the imports of a fresh Python process that composes a config."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Run ``wheelleg check`` on each mistake in ``mistakes.yaml``, and compare the error message."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

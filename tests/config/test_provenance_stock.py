@@ -1,7 +1,5 @@
 """Compare the replayed sources of every stock task with the config of Hydra's compose API."""
 
-from __future__ import annotations
-
 from itertools import cycle
 
 import pytest

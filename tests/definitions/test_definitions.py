@@ -1,7 +1,5 @@
 """Definitions of figures: they are of what the program computes, and each label says one thing in its table."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import pytest

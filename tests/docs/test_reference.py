@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import runpy
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -16,16 +15,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 @pytest.fixture(scope="module")
 def made() -> dict[str, str]:
-    return _script().pages()
-
-
-def _script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return runpy.run_path(str(DOCS / "make_reference.py"))["pages"]()
 
 
 @pytest.mark.parametrize("name", ["reference.md", "terms.md", "rules.md", "figures.md", "modules.md"])

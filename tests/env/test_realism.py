@@ -1,7 +1,5 @@
 """The errors that ``realism`` adds to a task: in the config, in the readings of the robot, and in its physics."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

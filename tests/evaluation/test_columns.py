@@ -1,7 +1,5 @@
 """Test the columns of episodes against closed forms on synthetic trajectories."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Test comparisons of synthetic evaluations: intervals, tests, and verdicts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

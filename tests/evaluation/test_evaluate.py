@@ -1,7 +1,5 @@
 """Test protocols on the stock task with scripted policies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Test rollouts: command schedules, changed worlds, and mechanical work over physics steps."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence

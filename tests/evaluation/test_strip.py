@@ -1,7 +1,5 @@
 """Test the strip terrain: its geometry, the measured phases, and the success of crossings."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

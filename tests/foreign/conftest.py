@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from jobs.small import Trained, cache_of, trained_once
+from jobs.small import cache_of
 
 from foreign.trial import SECRET, VARIABLE, Trial
 from wheelleg_exp.config.composing.compose import compose
@@ -53,11 +53,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inline_svg, "_plot", lambda panel, prefix: Plot("", panel.title))
     monkeypatch.setattr(play_policy, "compose", once)
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
-
-
-@pytest.fixture(scope="session")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    return trained_once(tmp_path_factory)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import pickle
 import struct
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,8 @@ import torch
 from foreign.trial import Trial, every_second
 from wheelleg_exp.jobs.train.scalar_logs import cut_events
 from wheelleg_exp.rl import checkpoint
+
+from .test_archives import Runs
 
 pytestmark = pytest.mark.train
 
@@ -40,14 +41,6 @@ def repacked(data: bytes) -> bytes:
             new.writestr(name, old.read(name))
         new.writestr("archive/data/999", bytes(1 << 26))
     return made.getvalue()
-
-
-class Runs:
-    def __init__(self, canary: Path) -> None:
-        self.canary = str(canary)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (open, (self.canary, "w"))
 
 
 def doubled(depth: int) -> list[Any]:

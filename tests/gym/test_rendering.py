@@ -24,7 +24,7 @@ def make_vec(**options):
 
 
 @pytest.fixture(scope="module")
-def graphics(shared_cache):
+def graphics(_cache):
     env = make()
     env.reset(seed=0)
     try:

@@ -24,7 +24,7 @@ def make(**options):
 
 
 @pytest.fixture(scope="module")
-def env(shared_cache):
+def env(_cache):
     made = make()
     yield made
     made.close()

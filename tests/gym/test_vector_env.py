@@ -17,7 +17,7 @@ def make(*overrides, num_envs=N):
 
 
 @pytest.fixture(scope="module")
-def env(shared_cache):
+def env(_cache):
     return make()
 
 

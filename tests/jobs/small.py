@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -78,6 +80,17 @@ def cache_of(factory: pytest.TempPathFactory) -> Path:
     return factory.getbasetemp() / "wheelleg-cache"
 
 
+@contextmanager
+def shared_cache(factory: pytest.TempPathFactory, threads: int | None = None) -> Iterator[None]:
+    """Set the cache folder and, if it is given, the number of threads; restore both at the end."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads or before)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
+        yield
+    torch.set_num_threads(before)
+
+
 def only_run(root: Path) -> Path:
     (path,) = (root / "stand").iterdir()
     return path
@@ -104,8 +117,7 @@ def trained_once(factory: pytest.TempPathFactory) -> Trained:
     base = factory.getbasetemp()
     if base not in _trained:
         root = factory.mktemp("trained") / "runs"
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
+        with shared_cache(factory):
             said = succeed("train", *SMALL, f"run.root={root}", "run.name=small")
         _trained[base] = Trained(RunDirectory.open(only_run(root), root), said)
     return _trained[base]

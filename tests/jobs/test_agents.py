@@ -1,7 +1,5 @@
 """Zero and random agents: what they record, and that a seed gives the same again."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``wheelleg evaluate RUN``: what it keeps below the run, and that it can be verified."""
 
-from __future__ import annotations
-
 import csv
 import json
 

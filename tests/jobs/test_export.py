@@ -15,13 +15,14 @@ import pytest
 import torch
 import yaml
 from patience import PATIENCE_S
+from robot_logs.made import programs
 
-from jobs.small import ITERATIONS, TINY, Trained, succeed, trained_once, wheelleg
+from jobs.small import ITERATIONS, TINY, succeed, wheelleg
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
-from wheelleg_exp.jobs.export import bundle as as_they_stand
 from wheelleg_exp.jobs.export import bundle_check
 from wheelleg_exp.jobs.export import export_bundle as job
+from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.c_header import in_comment
 from wheelleg_exp.jobs.export.export_bundle import as_configured, export
 from wheelleg_exp.jobs.saved_robot import saved_mjcf
@@ -47,20 +48,10 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory) -> Path:
+def bundle(trained, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("exported") / "bundle"
-    trained: Trained = trained_once(tmp_path_factory)
     succeed("export", trained.run.path, "-o", folder)
     return folder
-
-
-@pytest.fixture
-def runner(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(as_they_stand.__file__).parent))
-    monkeypatch.delitem(sys.modules, "runner", raising=False)
-    import runner
-
-    return runner
 
 
 def alone(folder: Path, script: str, *words: str) -> subprocess.CompletedProcess:
@@ -85,7 +76,7 @@ def exported(run: RunDirectory, output: Path | None = None, checkpoint: Path | N
     return export(run, checkpoint, output, ["wheelleg", "export"])
 
 
-def test_the_runner_repeats_observations_actions_and_targets_of_recorded_episodes(bundle, runner):
+def test_the_runner_repeats_observations_actions_and_targets_of_recorded_episodes(bundle):
     recorded = checked(bundle)
     assert recorded["reset"].nonzero()[0].tolist()[:2] == [0, 18]  # episodes of 0.3 s
     worst = runner.check(bundle)
@@ -94,8 +85,8 @@ def test_the_runner_repeats_observations_actions_and_targets_of_recorded_episode
     assert np.abs(recorded["actions"]).max() > 1e-3
 
 
-def test_the_networks_of_the_bundle_agree_and_the_run_has_the_same(bundle, tmp_path_factory):
-    recorded, run = checked(bundle), trained_once(tmp_path_factory).run
+def test_the_networks_of_the_bundle_agree_and_the_run_has_the_same(bundle, trained):
+    recorded, run = checked(bundle), trained.run
     for model in (bundle / "policy.onnx", run.exported / "policy.onnx"):
         (actions,) = onnxruntime.InferenceSession(model).run(None, {"obs": recorded["observations"]})
         np.testing.assert_allclose(actions, recorded["actions"], atol=1e-5)
@@ -105,7 +96,7 @@ def test_the_networks_of_the_bundle_agree_and_the_run_has_the_same(bundle, tmp_p
     np.testing.assert_allclose(actions.numpy(), recorded["actions"], atol=1e-5)
 
 
-def test_a_runner_that_is_another_policy_is_told(bundle, runner, tmp_path):
+def test_a_runner_that_is_another_policy_is_told(bundle, tmp_path):
     for name in ("policy.npz", "check.npz"):
         (tmp_path / name).write_bytes((bundle / name).read_bytes())
     for key, value in (("scale", 0.151), ("offset", 0.96)):
@@ -133,11 +124,9 @@ def test_a_header_that_differs_stops_the_export(trained, tmp_path, monkeypatch):
 
 
 def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
-    said = alone(bundle, "runner.py")
-    assert said.returncode == 0, said.stderr
-    assert said.stdout.count("largest difference") == 4
-    said = alone(bundle, "runner.py", "--onnx")
-    assert said.returncode == 0, said.stderr
+    for words, count in (([], 4), (["--onnx"], 4)):
+        said = alone(bundle, "runner.py", *words)
+        assert (said.returncode, said.stdout.count("largest difference")) == (0, count), said.stderr
     said = alone(bundle, "simulate.py", "--seconds", "0.2", "--command", "0", "0", "0")
     assert said.returncode == 0, said.stdout + said.stderr
     assert "simulated 0.20 s at 60 Hz" in said.stdout
@@ -154,7 +143,7 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
         assert (said.returncode, message in said.stderr) == (2, True)
 
 
-def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle, runner):
+def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle):
     policy = runner.Policy(bundle)
     readings = {"base_ang_vel": [1, 2, 3], "base_quat": [1, 0, 0, 0], "commands.base_velocity": [0, 0, 0]}
     readings |= {"joint_pos": policy.spec["default_joint_pos"], "joint_vel": np.zeros(6)}
@@ -172,7 +161,7 @@ def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle, ru
     np.testing.assert_allclose(policy.action, first)
 
 
-def test_targets_follow_from_actions_by_hand(bundle, runner):
+def test_targets_follow_from_actions_by_hand(bundle):
     policy = runner.Policy(bundle)
     policy.action = np.array([0.1, -0.2, 0.3, -0.4, 1.0, -20.0], np.float32)
     policy.processed = [policy.process(term, np.zeros(6)) for term in policy.spec["actions"]]
@@ -184,7 +173,7 @@ def test_targets_follow_from_actions_by_hand(bundle, runner):
     np.testing.assert_array_equal(targets["effort"], 0)
 
 
-def test_gravity_follows_from_the_orientation(runner):
+def test_gravity_follows_from_the_orientation():
     half = np.sqrt(0.5)
     rolled, nose_down, turned = [half, half, 0, 0], [half, 0, half, 0], [half, 0, 0, half]
     found = [runner.projected_gravity(quaternion) for quaternion in ([1, 0, 0, 0], rolled, nose_down, turned)]
@@ -314,7 +303,7 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_path, runner):
+def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_path):
     words = [*TINY, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path / 'runs'}"]
     succeed("train", *words, *VARIANTS[variant])
     (path,) = (tmp_path / "runs").glob("*/*")
@@ -415,10 +404,8 @@ def test_the_header_in_c_does_the_same(bundle, tmp_path):
 
 
 @pytest.mark.parametrize("profile", ["article", "explicit", "motor"])
-def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained, tmp_path, runner, monkeypatch):
-    monkeypatch.delitem(sys.modules, "simulate", raising=False)
-    import simulate
-
+def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained, tmp_path):
+    (simulate,) = programs("simulate")
     params, agent = load_params(trained.run)
     laws = {"explicit": "IdealPDActuator", "motor": "DCMotor"}
     for group in params["robot"]["actuators"].values():
@@ -465,7 +452,7 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     assert np.abs(data.joint_vel[0]).max() > 1.0
 
 
-def test_a_correct_policy_that_amplifies_its_last_action_passes_the_check(bundle, runner, tmp_path):
+def test_a_correct_policy_that_amplifies_its_last_action_passes_the_check(bundle, tmp_path):
     recorded, spec = checked(bundle), spec_of(bundle)
     weight = np.zeros((6, 135), np.float32)
     weight[np.arange(6), np.arange(119, 125)] = 1.35
@@ -520,7 +507,7 @@ def by_c(folder: Path, place: Path, rows: list[dict], *flags: str) -> tuple[np.n
 BROKEN = [("base_ang_vel", np.nan), ("joint_vel", np.inf), ("joint_pos", -np.inf), ("joint_vel", 3e38)]
 
 
-def test_readings_that_are_missing_or_not_finite_are_refused_and_change_nothing(bundle, runner):
+def test_readings_that_are_missing_or_not_finite_are_refused_and_change_nothing(bundle):
     policy, clean = runner.Policy(bundle), runner.Policy(bundle)
     with pytest.raises(ValueError, match="'base_ang_vel' must be 3 numbers"):
         policy.step({"joint_pos": np.zeros(6)})
@@ -545,7 +532,7 @@ def test_the_header_rejects_readings_that_are_not_finite(flags, bundle, tmp_path
     np.testing.assert_array_equal(targets[1::2], clean)
 
 
-def test_the_angle_of_a_wheel_counts_from_the_reset(bundle, runner, tmp_path):
+def test_the_angle_of_a_wheel_counts_from_the_reset(bundle, tmp_path):
     spec = spec_of(bundle)
     assert spec["rolling_joints"] == ["l03", "r03"]
     rows = [steady(spec) | {"joint_pos": np.array(spec["default_joint_pos"]) + 0.1 * k} for k in range(4)]
@@ -563,7 +550,7 @@ def test_the_angle_of_a_wheel_counts_from_the_reset(bundle, runner, tmp_path):
         np.testing.assert_allclose(moved[:, 0, 4:] - plain[:, 0, 4:], [[3.5, -100.0]] * 4, atol=1e-4)
 
 
-def test_position_targets_stay_within_the_limits_of_the_joints(bundle, runner):
+def test_position_targets_stay_within_the_limits_of_the_joints(bundle):
     policy = runner.Policy(bundle)
     policy.action = np.array([1e3, -1e3, -1e3, 1e3, 0, 0], np.float32)
     for term in policy.spec["actions"]:

@@ -9,19 +9,20 @@ import csv
 import json
 import shutil
 import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from patience import PATIENCE_S
+from robot_logs.made import programs
 
-from jobs.small import succeed, trained_once
+from jobs.small import succeed
 from wheelleg_exp.jobs.export.c_header import c_header
 
 pytestmark = pytest.mark.train
 
+runner, simulate = programs("runner", "simulate")
 OK, HELD, LATE, FALLEN, STOPPED, STARTING = 0, 2, 3, 4, 5, 6
 FLAGS = ("-std=c99", "-O2", "-pedantic", "-Wall", "-Wextra", "-Werror")
 START, STEPS = 60, 200  # the control step of the fault, and the steps of an episode
@@ -47,9 +48,9 @@ int main(int argc, char **argv) {
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory) -> Path:
+def bundle(trained, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("exported") / "bundle"
-    succeed("export", trained_once(tmp_path_factory).run.path, "-o", folder)
+    succeed("export", trained.run.path, "-o", folder)
     # Wheel speeds from the latest gravity, pitch rate, wheel speeds, actions, and distance; a search found the gains.
     replace_network(folder, [27, 13, 93, 94, 123, 124, 133], [18.8, 7.36, 4.5, 4.5, 0.1125, 0.1125, 1.54])
     return folder
@@ -69,24 +70,11 @@ def replace_network(folder: Path, columns: list[int], weights: list[float]) -> N
     (folder / "driver.c").write_text(DRIVER)
 
 
-@pytest.fixture(scope="module")
-def modules(bundle) -> Iterator[tuple]:
-    """Return the modules ``runner`` and ``simulate`` of the bundle."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(bundle))
-        for name in ("runner", "simulate"):
-            patch.delitem(sys.modules, name, raising=False)
-        import runner
-        import simulate
-
-        yield runner, simulate
-
-
 class Loop:
     """The robot of the bundle under ``Policy.update``, with all inputs and outputs for a comparison with C."""
 
-    def __init__(self, modules: tuple, folder: Path, startup: bool = False) -> None:
-        (runner, simulate), self.folder, self.startup = modules, folder, startup
+    def __init__(self, folder: Path, startup: bool = False) -> None:
+        self.folder, self.startup = folder, startup
         self.policy = runner.Policy(folder)
         self.policy.begin(startup)
         self.robot, self.mujoco = simulate.Robot(self.policy.spec, folder / "robot" / "scene.xml"), simulate.mujoco
@@ -230,9 +218,9 @@ FAULTS: dict[str, tuple[int, Callable, list[int]]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_gives_the_documented_statuses_and_the_robot_stands_2_s_later(name, bundle, modules):
+def test_a_fault_gives_the_documented_statuses_and_the_robot_stands_2_s_later(name, bundle):
     steps, change, expected = FAULTS[name]
-    loop = Loop(modules, bundle)
+    loop = Loop(bundle)
     loop.robot.data.qvel[4] = 0.5  # The base pitches, so that the fault meets a moving robot.
     for step in range(STEPS):
         loop.step(change if START <= step < START + steps else None)
@@ -246,8 +234,8 @@ def test_a_fault_gives_the_documented_statuses_and_the_robot_stands_2_s_later(na
 
 
 @pytest.mark.parametrize("startup", [False, True])
-def test_random_garbage_never_gives_targets_beyond_the_limits(startup, bundle, modules):
-    loop, rng = Loop(modules, bundle, startup), np.random.default_rng(0)
+def test_random_garbage_never_gives_targets_beyond_the_limits(startup, bundle):
+    loop, rng = Loop(bundle, startup), np.random.default_rng(0)
 
     def garbage(readings, time, now):
         for name in rng.choice([n for n in readings if n != "base_quat"], 2):
@@ -263,8 +251,8 @@ def test_random_garbage_never_gives_targets_beyond_the_limits(startup, bundle, m
     loop.check()
 
 
-def test_a_fallen_robot_stops_softly_and_runs_again_after_it_was_held_upright(bundle, modules):
-    loop = Loop(modules, bundle)
+def test_a_fallen_robot_stops_softly_and_runs_again_after_it_was_held_upright(bundle):
+    loop = Loop(bundle)
     for _ in range(START):
         loop.step()
     loop.robot.data.qvel[4] = 25.0
@@ -293,8 +281,8 @@ def test_a_fallen_robot_stops_softly_and_runs_again_after_it_was_held_upright(bu
     loop.check()
 
 
-def test_the_start_up_rests_lifts_and_runs(bundle, modules):
-    loop = Loop(modules, bundle, startup=True)
+def test_the_start_up_rests_lifts_and_runs(bundle):
+    loop = Loop(bundle, startup=True)
     pose = [0.5, 0.5, -1.0, -1.0, 40.0, 2.0]
     loop.robot.data.qpos[loop.robot.qpos] = pose
     moving = put("joint_vel", 0.6, 0)  # not still
@@ -317,8 +305,8 @@ def test_the_start_up_rests_lifts_and_runs(bundle, modules):
     loop.check()
 
 
-def test_a_stop_during_the_lift_does_not_raise_the_gain(bundle, modules):
-    loop = Loop(modules, bundle, startup=True)
+def test_a_stop_during_the_lift_does_not_raise_the_gain(bundle):
+    loop = Loop(bundle, startup=True)
     loop.step(held_up=True)
     while loop.targets["gain"] < 0.05 and loop.steps < 400:
         loop.step(held_up=True)
@@ -328,10 +316,10 @@ def test_a_stop_during_the_lift_does_not_raise_the_gain(bundle, modules):
     loop.check()
 
 
-def test_a_network_whose_output_is_too_large_stops_the_robot(bundle, modules, tmp_path):
+def test_a_network_whose_output_is_too_large_stops_the_robot(bundle, tmp_path):
     replace_network(shutil.copytree(bundle, tmp_path / "bundle"), [27], [1e30])
     (tmp_path / "bundle" / "driver").unlink(missing_ok=True)
-    loop = Loop(modules, tmp_path / "bundle")
+    loop = Loop(tmp_path / "bundle")
     loop.robot.data.qpos[3:7] = [0.999, 0.0, 0.04, 0.0]
     loop.step()
     assert loop.statuses == [STOPPED]
@@ -340,7 +328,7 @@ def test_a_network_whose_output_is_too_large_stops_the_robot(bundle, modules, tm
 
 @pytest.mark.parametrize("builder", ["cmake", "cc"])
 @NEEDS_CC
-def test_the_example_prints_the_log_of_the_runner(builder, bundle, modules, tmp_path):
+def test_the_example_prints_the_log_of_the_runner(builder, bundle, tmp_path):
     if shutil.which(builder) is None:
         pytest.skip(f"there is no {builder}")
     program, example = tmp_path / "policy_example", bundle / "example"
@@ -356,7 +344,6 @@ def test_the_example_prints_the_log_of_the_runner(builder, bundle, modules, tmp_
     (tmp_path / "faults.csv").write_text("\n".join(lines) + "\n")
     said = subprocess.run([program, tmp_path / "faults.csv"], capture_output=True, text=True, timeout=PATIENCE_S)
     found = list(csv.reader(said.stdout.splitlines()))
-    runner, _ = modules
     policy = runner.Policy(bundle)
     policy.begin(startup=False)
     single = runner.Policy(bundle)

@@ -1,7 +1,5 @@
 """Loggers whose package is missing."""
 
-from __future__ import annotations
-
 from jobs.small import SMALL, wheelleg
 from wheelleg_exp.jobs.train import scalar_logs
 

@@ -1,7 +1,5 @@
 """Compare metrics of motion with hand calculations for a fake environment and with closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 from types import SimpleNamespace

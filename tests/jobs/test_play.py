@@ -1,7 +1,5 @@
 """Playing a run: what the recording says is what the exported policy does, and figures that can be checked."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -13,6 +13,7 @@ import pytest
 
 from jobs.small import SMALL, trained_once
 from jobs.sweeps import STAND_IN, Seen
+from jobs.test_sweep import _index as index
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError
@@ -23,12 +24,6 @@ from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.stop_request import StopRequest
-
-
-@pytest.fixture
-def stop():
-    with StopRequest() as request:
-        yield request
 
 
 class Ticket:
@@ -75,11 +70,6 @@ def swept(whats: list[str], stop: StopRequest, seen: Seen | None = None, full: i
     requests = [JobRequest("train", [what], [], ["wheelleg", "train", what]) for what in whats]
     queue = Threads(index.folder, full)
     return SweepRunner(index, requests, len(whats), seen or Seen(), stop, queue), queue
-
-
-def index() -> dict:
-    (path,) = Path("runs/sweeps").glob("*/sweep.json")
-    return json.loads(path.read_text())
 
 
 def test_all_jobs_are_handed_in_together_and_heard(stop):

@@ -30,12 +30,6 @@ from wheelleg_exp.stop_request import StopRequest
 GROWING = (".lock", ".manifest.lock", "manifest.json", "iterations.jsonl", "recording.rrd")  # they hold times
 
 
-@pytest.fixture
-def stop():
-    with StopRequest() as request:
-        yield request
-
-
 def _index() -> dict:
     (path,) = Path("runs/sweeps").glob("*/sweep.json")
     return json.loads(path.read_text())

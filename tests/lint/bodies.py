@@ -1,7 +1,5 @@
 """Robots with round numbers, as MJCF texts."""
 
-from __future__ import annotations
-
 import math
 
 RADIUS, TRACK, THIGH = 0.1, 0.4, 0.3  # m

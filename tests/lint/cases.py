@@ -4,8 +4,6 @@ The robot has 1 kg, at a gravity of 10 m/s². Two wheels of 0.1 m radius are 0.5
 the axle, with an inertia of 0.4 kg·m² about the axle. So m g h = 4 N·m, and the rate of the fall is sqrt(4 / 0.4) 1/s.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import replace

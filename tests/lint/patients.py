@@ -1,7 +1,5 @@
 """A robot without defects, as MJCF, into which tests insert single defects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

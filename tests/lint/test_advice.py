@@ -1,7 +1,5 @@
 """Apply the advice of each finding, and check that the finding disappears."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

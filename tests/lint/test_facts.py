@@ -1,7 +1,5 @@
 """Compare the facts of a compiled robot with hand-computed bodies and published figures of the stock robot."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

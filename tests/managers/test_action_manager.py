@@ -1,7 +1,5 @@
 """Actions: what raw actions become and when."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

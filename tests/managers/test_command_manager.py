@@ -1,7 +1,5 @@
 """Commands: timers, counters, standing, headings, metrics."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

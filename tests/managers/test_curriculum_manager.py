@@ -1,7 +1,5 @@
 """Curricula: when they run and what they log."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """When events run."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

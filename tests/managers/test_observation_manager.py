@@ -1,7 +1,5 @@
 """Observations: the order of processing, histories, layout, and reading without a trace."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,11 +1,10 @@
 """Observations with delays, with histories ordered by step, along other dimensions, and of images."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
 from managers import spies
+from managers.test_observation_manager import _series, _value
 from wheelleg_exp.errors import ConfigError
 
 O = "wheelleg_exp.mdp.observations."
@@ -14,21 +13,8 @@ STILL = torch.zeros(4, 4)
 PICTURE = {"_target_": "managers.test_observation_options.picture", "key": "a"}
 
 
-def _value(key="x", **fields):
-    spies.VALUES.setdefault(key, 1.0)
-    return {"_target_": spies.HERE + "column", "key": key, **fields}
-
-
 def _env(make_env, terms, *, num_envs=4, seed=0, **group):
     return make_env(observations={"policy": {"terms": terms, **group}}, num_envs=num_envs, seed=seed)
-
-
-def _series(env, key, *values):
-    out = None
-    for number in values:
-        spies.VALUES[key] = number
-        out = env.observation_manager.compute()["policy"]
-    return out
 
 
 def _counting(start_env, **fields):

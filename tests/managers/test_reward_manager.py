@@ -1,7 +1,5 @@
 """Rewards: weights, sums, logs, and values that are not finite."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

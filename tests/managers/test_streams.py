@@ -1,7 +1,5 @@
 """Random streams by name."""
 
-from __future__ import annotations
-
 import torch
 
 from managers import spies

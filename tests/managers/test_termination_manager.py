@@ -1,7 +1,5 @@
 """Terminations: failing, running out of time, and which of them ended the last episode."""
 
-from __future__ import annotations
-
 import torch
 from sim.small_envs import run
 

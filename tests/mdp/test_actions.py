@@ -1,7 +1,5 @@
 """Actions: mapped to limits, averaged, binary, and delayed, compared with values computed by hand."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

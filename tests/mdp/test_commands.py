@@ -1,7 +1,5 @@
 """Commands other than the uniform velocity: distributions, frames, metrics, and saved state."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """Curricula: levels of ground and of commands, and settings by their address."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

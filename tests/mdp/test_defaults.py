@@ -1,7 +1,5 @@
 """The defaults of terms are those of Isaac Lab 2.3.2, written down by hand."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest

@@ -1,7 +1,5 @@
 """The values that events write."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """Events that change joints and drives: the written numbers and the resulting motion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise models and modifiers, compared with closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Terms that cannot be built: each row is a section, a node, the key of the error below the term, and its words."""
 
-from __future__ import annotations
-
 import pytest
 
 from mdp.nodes import MDP

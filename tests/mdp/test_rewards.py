@@ -1,7 +1,5 @@
 """Every reward term, compared with values computed by hand."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from types import SimpleNamespace

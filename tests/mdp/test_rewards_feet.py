@@ -1,7 +1,5 @@
 """Rewards on feet and wheels, compared with values computed by hand and with MuJoCo's contact points."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """The stock files of terms run on the stock robot."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import yaml

@@ -1,7 +1,5 @@
 """Every termination term, compared with values computed by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

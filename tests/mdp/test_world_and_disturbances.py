@@ -1,7 +1,5 @@
 """Gravity, inertia, pushes of some duration, and starts on flat patches of the ground."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

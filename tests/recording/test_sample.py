@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp.recording.recording_options import Sample

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from jobs.small import Trained, trained_once
 
 from report.pages import Page
 from wheelleg_exp.config.composing.compose import Composed, compose
@@ -31,11 +30,6 @@ def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.fixture
 def drawings_too() -> None:
     """A mark of the tests that check drawings; other tests skip the slow drawing."""
-
-
-@pytest.fixture(scope="session")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    return trained_once(tmp_path_factory)
 
 
 @functools.cache

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from jobs.small import Words
 from patience import PATIENCE_S
 
 from wheelleg_exp.cli.main import main
@@ -27,15 +28,6 @@ SMALL += ["agent.save_interval=1", "recording.interval=2", "recording.steps=30"]
 
 class Refused(Exception):
     """A command-line call failed or ended before the test could kill it."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """The exit status and the output of a command."""
-
-    status: int
-    out: str
-    err: str
 
 
 @dataclass
@@ -57,19 +49,19 @@ class Lab:
     def variables(self, **more: str) -> dict[str, str]:
         return {**os.environ, **self.environ, **more}
 
-    def wheelleg(self, *words: str | Path, statuses: Sequence[int] = (0,), **variables: str) -> Answer:
+    def wheelleg(self, *words: str | Path, statuses: Sequence[int] = (0,), **variables: str) -> Words:
         done = subprocess.run(
             self.command(*words), capture_output=True, text=True, timeout=PATIENCE_S, env=self.variables(**variables)
         )
         if done.returncode not in statuses:
             raise Refused(f"{' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}")
-        return Answer(done.returncode, done.stdout, done.stderr)
+        return Words(done.returncode, done.stdout, done.stderr)
 
-    def inside(self, *words: str | Path) -> Answer:
+    def inside(self, *words: str | Path) -> Words:
         out, err = io.StringIO(), io.StringIO()
         with redirect_stdout(out), redirect_stderr(err):
             status = main([str(word) for word in words])
-        return Answer(status, out.getvalue(), err.getvalue())
+        return Words(status, out.getvalue(), err.getvalue())
 
     def words(self, root: Path, *overrides: str) -> list[str | Path]:
         return ["train", *self.base, *self.planted, *overrides, f"run.root={root}", *self.project]

@@ -1,7 +1,5 @@
 """Bundles without training, and logs that their robots write in plain MuJoCo: pushed, noisy, and with faults."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Mapping

@@ -1,13 +1,12 @@
 """A log of a simulated robot has no findings; ten seeded faults are found and named."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs.small import refused, trained_once, wheelleg
+from jobs.small import refused, wheelleg
 
 from wheelleg_exp.robot_logs.log_comparison import compare_log, held_findings, noise_of, with_imu
 from wheelleg_exp.robot_logs.robot_log import RobotLog
@@ -27,12 +26,8 @@ def exchanged(log: Columns) -> Columns:
     return {name: log[names.get(name, name)] for name in log}
 
 
-def scaled(factor: float, *columns: str):
-    return lambda log: {name: values * factor if name in columns else values for name, values in log.items()}
-
-
-def late(log: Columns) -> Columns:
-    return {n: np.concatenate((v[:1], v[:1], v[:-2])) if n.startswith("joint_") else v for n, v in log.items()}
+def changed(change: Callable, *columns: str) -> Callable[[Columns], Columns]:
+    return lambda log: log | {name: change(log[name]) for name in columns}
 
 
 def turned(log: Columns) -> Columns:
@@ -42,33 +37,25 @@ def turned(log: Columns) -> Columns:
     return found
 
 
-def moved(log: Columns) -> Columns:
-    return log | {"joint_pos.l02": log["joint_pos.l02"] + 0.05}
+def stale(values: np.ndarray) -> np.ndarray:
+    """Hold 5 of every 12 values between the rows 60 and 240."""
+    rows = np.arange(len(values))
+    return values[np.where((rows >= 60) & (rows < 240) & (rows % 12 < 5), rows - rows % 12, rows)]
 
 
-def stale(log: Columns) -> Columns:
-    found = {name: values.copy() for name, values in log.items()}
-    for axis in "xyz":
-        for row in range(60, 240, 12):
-            found[f"base_ang_vel.{axis}"][row : row + 5] = found[f"base_ang_vel.{axis}"][row]
-    return found
-
-
-def noisy(log: Columns) -> Columns:
-    noise = 0.5 * np.random.default_rng(0).standard_normal(len(log["time"]))
-    return log | {"joint_vel.r01": log["joint_vel.r01"] + noise}
-
-
+SPEEDS, GYROSCOPE = [f"joint_vel.{j}" for j in JOINTS], [f"base_ang_vel.{a}" for a in "xyz"]
+LATE = [*(f"joint_pos.{j}" for j in JOINTS), *SPEEDS]
+NOISE = 0.5 * np.random.default_rng(0).standard_normal(300)
 FAULTS = {
     "order": (exchanged, {"joint_vel.l02", "joint_vel.l03"}, None),
-    "sign": (scaled(-1.0, "joint_vel.r03"), {"joint_vel.r03"}, None),
-    "scale": (scaled(1.3, "joint_vel.l03"), {"joint_vel.l03"}, 1.3),
-    "delay": (late, {f"{r}.{j}" for r in ("joint_pos", "joint_vel") for j in JOINTS}, 2),
-    "frame": (turned, {f"{r}.{a}" for r in ("base_ang_vel", "projected_gravity") for a in "xyz"}, None),
-    "unit": (scaled(30 / np.pi, *(f"joint_vel.{j}" for j in JOINTS)), {f"joint_vel.{j}" for j in JOINTS}, 9.549),
-    "offset": (moved, {"joint_pos.l02"}, 0.05),
-    "stale": (stale, {f"base_ang_vel.{a}" for a in "xyz"}, None),
-    "noise": (noisy, {"joint_vel.r01"}, 0.5),
+    "sign": (changed(np.negative, "joint_vel.r03"), {"joint_vel.r03"}, None),
+    "scale": (changed(lambda v: 1.3 * v, "joint_vel.l03"), {"joint_vel.l03"}, 1.3),
+    "delay": (changed(lambda v: np.concatenate((v[:1], v[:1], v[:-2])), *LATE), set(LATE), 2),
+    "frame": (turned, {*GYROSCOPE, *(f"projected_gravity.{a}" for a in "xyz")}, None),
+    "unit": (changed(lambda v: 30 / np.pi * v, *SPEEDS), set(SPEEDS), 9.549),
+    "offset": (changed(lambda v: v + 0.05, "joint_pos.l02"), {"joint_pos.l02"}, 0.05),
+    "stale": (changed(stale, *GYROSCOPE), set(GYROSCOPE), None),
+    "noise": (changed(lambda v: v + NOISE, "joint_vel.r01"), {"joint_vel.r01"}, 0.5),
 }
 
 
@@ -124,8 +111,8 @@ def test_the_order_of_a_quaternion_is_checked(clean, shift, findings):
 
 
 @pytest.mark.train
-def test_the_command_compares_plots_and_refuses(clean, tmp_path, tmp_path_factory):
-    run, log = trained_once(tmp_path_factory).run, write_csv(tmp_path / "log.csv", clean)
+def test_the_command_compares_plots_and_refuses(clean, trained, tmp_path):
+    run, log = trained.run, write_csv(tmp_path / "log.csv", clean)
     said = wheelleg("inspect", log, "--against", run.path, "--plot", tmp_path / "log.png", "--json")
     document = json.loads(said.out)
     assert said.status == 1, said.err

@@ -1,7 +1,5 @@
 """Six parameters of each motor are found from chirps, with intervals that contain them, and written as a profile."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import copy
 
 from sim.small_envs import ASSETS, env_config

@@ -1,7 +1,5 @@
 """Fixture for a temporary folder with hostile robot files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

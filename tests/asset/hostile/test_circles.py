@@ -1,7 +1,5 @@
 """USD files can refer to each other in a cycle: a conversion breaks the cycle and reads the robot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

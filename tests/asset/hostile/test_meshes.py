@@ -1,7 +1,5 @@
 """For a damaged mesh file, the conversion omits the shape with the reason, and converts the remaining robot."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A conversion overwrites no robot file, no foreign mesh, and no target of a link; and a cache entry can be damaged."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

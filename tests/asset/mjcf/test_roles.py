@@ -1,7 +1,5 @@
 """Wheels and legs are found by the robot's structure, and give names to MJCF default classes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

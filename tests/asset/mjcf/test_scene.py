@@ -1,7 +1,5 @@
 """The preview scene of a converted robot: the robot stands still on the floor, even with very stiff gains."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

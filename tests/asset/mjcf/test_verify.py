@@ -1,7 +1,5 @@
 """The converter raises an error if the MuJoCo model differs from the robot description."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

@@ -4,8 +4,6 @@ The corpus has USD files that ``urdf-usd-converter`` made from URDF files, and t
 URDF files. The tests write a URDF from the USD's robot description and convert the URDF.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A wrong or hostile URDF gives one error message that names the mistake and its place, and no file."""
 
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp.asset import convert, convert_cached, source_digest

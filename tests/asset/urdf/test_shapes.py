@@ -1,7 +1,5 @@
 """Visuals and colliders of URDFs: primitives, mesh files of each format, the mesh file search, and missing files."""
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -1,7 +1,5 @@
 """Each MuJoCo model of a real robot agrees with its USD file, and the report names all omitted physics."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

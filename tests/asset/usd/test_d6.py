@@ -1,7 +1,5 @@
 """The axes of a generic USD joint are free, locked at zero, or locked at a nonzero value."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

@@ -1,7 +1,5 @@
 """USD's distance joints become spatial tendons."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Drives, limits, saved states, and passive forces of single joints become SI values from any USD unit."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """Shapes of filtered pairs and filtered collision groups have no contacts in MuJoCo."""
 
-from __future__ import annotations
-
 import itertools
 
 import mujoco

@@ -1,7 +1,5 @@
 """A joint that closes a loop becomes an equality; the converter reports a loop that it cannot close."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """PhysX's mimic joints obey q = -gearing · reference - offset, in degrees and stage lengths."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """MjcActuator prims become MuJoCo's general actuators for all transmission types."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

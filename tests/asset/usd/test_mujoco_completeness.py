@@ -1,7 +1,5 @@
 """Each attribute of MuJoCo's USD schemas becomes an MJCF attribute, or the report names it with a reason."""
 
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp.errors import AssetError

@@ -1,7 +1,5 @@
 """Attributes of MuJoCo's and Newton's USD schemas become MuJoCo attributes, shown on small files."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

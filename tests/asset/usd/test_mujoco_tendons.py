@@ -1,7 +1,5 @@
 """MjcTendon prims become MuJoCo tendons: coordinate sums, and paths through sites, around geoms, and over pulleys."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

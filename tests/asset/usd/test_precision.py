@@ -1,7 +1,5 @@
 """The MJCF has shortest decimals for single-precision numbers of a USD file, and exact double-precision numbers."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stock robot's MuJoCo model agrees with closed forms and with the robot description."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Roots of body trees: a base fixed to the world, or the centre of a floating articulation as in OpenUSD's parser."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import warnings

@@ -4,8 +4,6 @@ The original MJCF files are ``assets/<name>/mjcf/<name>.xml`` in the corpus. The
 digits and the USD files have more, which causes differences of up to 5e-6.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

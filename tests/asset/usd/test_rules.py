@@ -1,7 +1,5 @@
 """Each rule of reading USD physics gives the expected MuJoCo model for a small USD file."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """Gravity in all USD forms, files with several physics scenes, and friction of bound physics materials."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

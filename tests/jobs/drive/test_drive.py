@@ -1,7 +1,5 @@
 """Driving a run by a script: what is simulated, what is kept, and that the same is driven again."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import sys

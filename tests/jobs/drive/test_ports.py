@@ -1,7 +1,5 @@
 """Ports of the drive page."""
 
-from __future__ import annotations
-
 import socket
 
 import pytest

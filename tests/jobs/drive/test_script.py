@@ -1,7 +1,5 @@
 """Scripts of drives: what is asked for at which control step, and mistakes with their line."""
 
-from __future__ import annotations
-
 import pytest
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError

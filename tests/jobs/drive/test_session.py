@@ -1,7 +1,5 @@
 """One robot that is driven: commands reach it, requests are obeyed, and nothing happens unasked."""
 
-from __future__ import annotations
-
 import math
 import threading
 
