@@ -1,11 +1,13 @@
 """The errors that ``realism`` adds to a task: in the config, in the readings of the robot, and in its physics."""
 
 import math
+import re
 
 import pytest
 import torch
 from mdp.nodes import event
 
+from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env.realism import with_realism, without_realism
 from wheelleg_exp.sim.delay import DelayBuffer
@@ -60,6 +62,35 @@ def test_a_delay_with_jitter_never_returns_an_older_sample_than_before():
     assert torch.equal(buffer.peek(torch.full((500, 1), 60.0)), buffer.peek(torch.full((500, 1), 60.0)))
 
 
+def test_a_delay_continues_from_its_saved_share_of_the_range():
+    def buffer():
+        return DelayBuffer(torch.zeros(50, 1), (0, 4), torch.Generator().manual_seed(0), jitter=4)
+
+    one, other = buffer(), buffer()
+    one.share = 0.25
+    other.load_state_dict(one.state_dict())
+    for made in (one, other):
+        made.reset(torch.arange(50))
+    assert int(other.lag.max()) == 1
+    for step in range(5):
+        sample = torch.full((50, 1), float(step))
+        assert torch.equal(one.push(sample), other.push(sample))
+
+
+@pytest.mark.parametrize(
+    ("override", "place"),
+    [
+        ("env.realism.events=[imu_erors]", "env.realism.events: there is no 'imu_erors'.*did you mean 'imu_errors'"),
+        ("env.realism.groups=[polcy]", "env.realism.groups: there is no 'polcy'.*did you mean 'policy'"),
+        ("+env.realism.sensors.base_ang_vell={}", "there is no 'base_ang_vell'.*did you mean 'base_ang_vel'"),
+    ],
+)
+def test_a_misspelled_name_in_a_variant_is_a_mistake_and_a_removed_event_is_not(override, place):
+    assert find_mistakes(["realism=full", "~env.events.kicks", "~env.curriculum.kicks_harder"])[1] == []
+    (error,) = find_mistakes(["realism=full", override])[1]
+    assert re.search(place, str(error))
+
+
 def imu(make_env, pitch, bias, names=("base_ang_vel", "projected_gravity")):
     tilt = {"roll": [0.0, 0.0], "pitch": [pitch, pitch], "yaw": [0.0, 0.0]}
     errors = event("randomize_imu_errors", mode="reset", tilt_range=tilt, gyro_bias_range=[bias, bias])
@@ -73,9 +104,9 @@ def test_a_tilted_imu_with_a_bias_reads_the_true_motion_in_its_own_axes(make_env
     velocity = torch.tensor([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]).expand(4, 6)
     env.scene.robot.write_root_velocity_to_sim(velocity)
     cos, sin = math.cos(0.3), math.sin(0.3)
-    rate = torch.tensor([1.0 * cos + 3.0 * sin, 2.0, -1.0 * sin + 3.0 * cos]) + 0.01
+    rate = torch.tensor([1.0 * cos - 3.0 * sin, 2.0, 1.0 * sin + 3.0 * cos]) + 0.01
     torch.testing.assert_close(readings(env, "base_ang_vel"), rate.expand(4, 3))
-    torch.testing.assert_close(readings(env, "projected_gravity"), torch.tensor([-sin, 0.0, -cos]).expand(4, 3))
+    torch.testing.assert_close(readings(env, "projected_gravity"), torch.tensor([sin, 0.0, -cos]).expand(4, 3))
     torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([0.0, 0.0, -1.0]).expand(4, 3))
 
 

@@ -61,14 +61,15 @@ class DelayBuffer:
     def state_dict(self) -> dict[str, Any]:
         """Return the stored samples and the lags of all environments."""
         state = {"samples": self._samples, "is_first": self._is_first, "lag": self.lag, "last_lag": self._last_lag}
-        return {name: value.clone() for name, value in state.items()}
+        return {name: value.clone() for name, value in state.items()} | {"share": self.share}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         self._samples = saved["samples"].clone()
         self._is_first.copy_(saved["is_first"])
         self.lag.copy_(saved["lag"])
-        self._last_lag.copy_(saved.get("last_lag", saved["lag"]))  # Older checkpoints have no jitter.
+        self._last_lag.copy_(saved.get("last_lag", saved["lag"]))  # Older checkpoints have no jitter and no share.
+        self.share = saved.get("share", 1.0)
 
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
         newest = sample.unsqueeze(1)

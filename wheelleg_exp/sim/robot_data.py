@@ -33,7 +33,7 @@ class RobotData(Kept):
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
         has_encoder_bias: whether some term sets an encoder bias.
-        imu_tilt: rotation matrix from the axes of the root link to those of its IMU, (N, 3, 3).
+        imu_tilt: orientation of the IMU in the axes of the root link, as rotation matrices, (N, 3, 3).
         gyro_bias: reading of the IMU's gyroscope at rest, rad/s, (N, 3).
         gravity_dir_w: unit vector of gravity in world axes, (N, 3); tilted if an event tilts the ground.
         has_imu_errors: whether some term sets ``imu_tilt``, ``gyro_bias``, or ``gravity_dir_w``.
@@ -241,14 +241,14 @@ class RobotData(Kept):
         """Angular velocity that the root link's IMU measures, in the axes of the IMU, with its bias, rad/s, (N, 3)."""
         if not self.has_imu_errors:
             return self.root_ang_vel_b
-        return rotation.rotate(self.imu_tilt, self.root_ang_vel_b) + self.gyro_bias
+        return rotation.rotate_inverse(self.imu_tilt, self.root_ang_vel_b) + self.gyro_bias
 
     @cached_until_change
     def projected_gravity_measured(self) -> torch.Tensor:
         """Unit vector of gravity in the axes of the root link's IMU, (N, 3)."""
         if not self.has_imu_errors:
             return self.projected_gravity_b
-        return rotation.rotate(self.imu_tilt, rotation.rotate_inverse(self.root_rot_w, self.gravity_dir_w))
+        return rotation.rotate_inverse(self.imu_tilt, rotation.rotate_inverse(self.root_rot_w, self.gravity_dir_w))
 
     @cached_until_change
     def heading_w(self) -> torch.Tensor:

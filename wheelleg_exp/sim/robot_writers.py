@@ -354,9 +354,9 @@ class RobotWriters(Kept):
         self.data.invalidate()
 
     def write_imu_errors(self, tilt: torch.Tensor, gyro_bias: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the errors of the root link's IMU: its mounting (n, 3, 3), and the bias of its gyroscope (n, 3), rad/s.
+        """Set the errors of the root link's IMU: the bias of its gyroscope (n, 3), rad/s, and its orientation ``tilt``.
 
-        ``tilt`` rotates the axes of the root link to those of the IMU.
+        ``tilt`` (n, 3, 3) are rotation matrices from the axes of the IMU to those of the root link.
         """
         rows = self._rows(env_ids)
         self.data.imu_tilt[rows], self.data.gyro_bias[rows] = tilt, gyro_bias

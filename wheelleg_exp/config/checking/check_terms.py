@@ -171,6 +171,24 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
     return errors
 
 
+def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return an error for each name in ``env.realism`` that is similar to a term, group, or function, but is none."""
+    realism = at(config, "env.realism")
+    if not isinstance(realism, Mapping):
+        return []
+    targets = [str(node.get(binding.TARGET)) for _, _, node in term_nodes(config) if isinstance(node, Mapping)]
+    functions = {*vars(import_module("wheelleg_exp.mdp.observations")), *(name.rpartition(".")[2] for name in targets)}
+    known = {"events": section_at(config, "env.events"), "curriculum": section_at(config, "env.curriculum")}
+    known |= {"groups": section_at(config, "env.observations"), "sensors": dict.fromkeys(functions)}
+    return [
+        ConfigError(f"there is no '{name}'", key=f"env.realism.{key}", expected="an existing name", nearest=nearest)
+        for key, names in known.items()
+        for name in realism.get(key) or []
+        # An override such as ~env.events.kicks removes a term that the variant still names.
+        if name not in names and ((nearest := nearest_name(str(name), names)) or key == "sensors")
+    ]
+
+
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
     """Find observation groups that no neural network reads, and observation groups without terms."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")

@@ -205,7 +205,7 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     errors += _check_observation_groups(config)
     errors += check_terms.check_sections(config)
     errors += check_terms.check_nested_targets(config)
-    errors += check_terms.check_links(config)
+    errors += check_terms.check_links(config) + check_terms.check_realism(config)
     for name, reason in section_at(config, "check.silence").items():
         key = f"check.silence.{name}"
         if name not in schema.PHYSICS_RULES:
