@@ -12,7 +12,7 @@ import pytest
 from evaluation.conftest import balancer, noise, protocol, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.evaluation import Evaluation, evaluate
-from wheelleg_exp.evaluation.disturbance_tests import PROPERTIES
+from wheelleg_exp.evaluation.protocol_options import PROPERTIES
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 
 PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipeline"]["phases"]

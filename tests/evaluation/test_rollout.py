@@ -11,6 +11,7 @@ import torch
 
 from evaluation.conftest import protocol, stub_env, zeros
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import margin, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
 from wheelleg_exp.evaluation.policy_rollout import Rollout
@@ -193,6 +194,24 @@ def test_a_margin_is_the_largest_survived_change(limit, expected):
     assert options is not None
     found = margin(lambda value: 1.0 if value <= limit else 0.9, 1.0, options)
     assert expected - 1 / 64 <= found <= expected
+    tried: list[float] = []
+    margin(lambda value: tried.append(value) or float(value <= limit), 1.0, options, step=0.3)
+    assert all(value == pytest.approx(0.3 * round(value / 0.3)) for value in tried)
+
+
+@pytest.mark.parametrize(
+    ("override", "key", "word"),
+    [
+        ("+protocol.robust.margins.delayy=2", "margins.delayy", "did you mean 'delay_s'"),
+        ("+protocol.robust.margins.mass=2", "margins.mass", "no such change"),
+        ("+protocol.robust.combined.nois=2", "combined.nois", "did you mean 'noise'"),
+        ("protocol.robust.combined.noise=-2", "combined.noise", "out of range"),
+        ("protocol.robust.horizon_s=2", "horizon_s", "after the kick"),
+    ],
+)
+def test_changes_that_cannot_be_made_are_refused(override, key, word):
+    with pytest.raises(ConfigError, match=rf"protocol\.robust\.{key}.*{word}"):
+        read_section(Protocol, protocol("robust", override), "protocol")
 
 
 def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_keeps_it(task):

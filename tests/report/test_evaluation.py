@@ -34,11 +34,10 @@ def test_metrics_have_their_intervals_and_units(page, root):
     add_evaluation(run, "reference", survival=1.0)
     found = page(run).section("evaluation")
     assert "Survival 0.500 0.00 to 1.00 1.00" in found
-    assert "Largest change" not in found
+    assert "Largest survived change" not in found
     run.manifest().add("evaluation", [], {"metrics": {"robust/margin/slope": 0.125}}, command=["wheelleg"])
-    assert (
-        "Largest change that 95 % of the episodes survive Change Policy Reference Slope of the floor, rad 0.125 –"
-        in (page(run).section("evaluation"))
+    assert "Largest survived change Change Policy Reference Slope of the floor, rad 0.125 –" in (
+        page(run).section("evaluation")
     )
     other = make_run(root, name="other")
     add_evaluation(other)

@@ -18,7 +18,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout, Tell
-from wheelleg_exp.evaluation.protocol_options import Push, Robust
+from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, Push, Robust
 from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
 from wheelleg_exp.terms.config_sections import ActionRealism, SensorRealism
 
@@ -119,21 +119,14 @@ def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
 class World:
     """A variant of the simulation in the robustness test, with its own config section ``env``.
 
-    ``kick`` is the change of the robot's speed in ``KICK_S``, m/s: forwards in even episodes, backwards in odd ones.
+    ``kick`` is the change of the robot's speed at the time ``KICK_S``, m/s: forwards in even episodes, backwards in odd
+    ones.
     """
 
     sweep: str
     value: float
     cfg: dict[str, Any] = field(repr=False)
     kick: float = 0.0
-
-
-KICK_S = 2.0  # s; time of the kick from the start of the episode
-# The properties that the robustness test changes, in the order of the results.
-PROPERTIES = (
-    *("friction", "mass", "com", "gains", "noise", "delay_s", "reading_delay_s", "lost_readings"),
-    *("imu_tilt", "gyro_bias", "encoder_offset", "slope", "kick"),
-)
 
 
 def worlds(cfg: Mapping[str, Any], options: Robust) -> Iterator[World]:
@@ -205,17 +198,24 @@ def _with_event(cfg: dict[str, Any], what: str, parameters: Mapping[str, Any], *
     return {**cfg, "events": {**cfg["events"], f"evaluation_randomize_{what}": node}}
 
 
-def margin(survival: Callable[[float], float], highest: float, options: Robust) -> float:
+def margin(survival: Callable[[float], float], highest: float, options: Robust, step: float = 0.0) -> float:
     """Return the largest change that a policy survives, found by bisection between 0 and ``highest``.
 
     ``survival`` returns the share of episodes that survive a change. A change counts as survived from
-    ``margin_survival`` on. The result is ``highest`` if the policy survives ``highest``.
+    ``margin_survival`` on. With ``step``, only multiples of ``step`` are tried. The result is ``highest`` if the policy
+    survives ``highest``.
     """
-    if survival(highest) >= options.margin_survival:
-        return highest
-    low, high = 0.0, highest
+
+    def rounded(value: float) -> float:
+        return step * math.floor(value / step + 1e-6) if step else value
+
+    low, high = 0.0, rounded(highest)
+    if survival(high) >= options.margin_survival:
+        return high
     for _ in range(options.margin_iterations):
-        middle = (low + high) / 2
+        middle = rounded((low + high) / 2)
+        if middle == low:
+            break
         low, high = (middle, high) if survival(middle) >= options.margin_survival else (low, middle)
     return low
 

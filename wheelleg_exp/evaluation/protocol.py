@@ -164,7 +164,8 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
             return 1.0 - float(made.fell.double().mean())
 
         # The margins are properties of the policy, so each episode of the unchanged simulation has the same value.
-        found[0][f"margin_{name}"] = np.full(table.size, margin(survival, highest, options))
+        step = cfg["sim"]["dt"] if name.endswith("_s") else 0.0  # Delays are rounded to physics steps.
+        found[0][f"margin_{name}"] = np.full(table.size, margin(survival, highest, options, step))
         if tell is not None:
             tell(len(each) + number + 1, len(each) + len(margins))
     return Part(table.test, hashlib.sha256("".join(starts).encode()).hexdigest(), joined(found), about(rollout))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from wheelleg_exp.constraints import Broken, Count, Length, NonNegative, NotEmpty, Positive, Seed, Share, relation
+from wheelleg_exp.errors import nearest_name
 from wheelleg_exp.terms.config_sections import Section
+from wheelleg_exp.terms.config_values import value_errors
 
 Ground = Literal["flat", "own"]
 Speeds = Annotated[list[float], NotEmpty()]
@@ -201,6 +204,33 @@ class Strip:
     within_s: Positive
 
 
+KICK_S, AFTER_KICK_S = 2.0, 2.0  # s; time of the kick from the start of the episode, and least time after the kick
+# The properties that the robustness test changes, in the order of the results.
+PROPERTIES = (
+    *("friction", "mass", "com", "gains", "noise", "delay_s", "reading_delay_s", "lost_readings"),
+    *("imu_tilt", "gyro_bias", "encoder_offset", "slope", "kick"),
+)
+# A property that is unchanged at 0 has a margin: the largest change that a policy survives.
+_WITH_MARGIN = tuple(name for name in PROPERTIES if name not in ("friction", "mass", "gains"))
+
+
+def _changes_are_known(robust: Mapping[str, Any]) -> Iterator[Broken]:
+    for key, known in (("combined", PROPERTIES), ("margins", _WITH_MARGIN)):
+        for name, value in (robust[key] or {}).items():
+            annotation = typing.get_type_hints(Robust, include_extras=True).get(name, Any)
+            if name not in known:
+                nearest = nearest_name(name, known)
+                hint = f"; did you mean '{nearest}'?" if nearest else ""
+                yield Broken(f"{key}.{name}", f"there is no such change{hint}", "one of " + ", ".join(known))
+            elif value_errors(name, [value], annotation):
+                yield Broken(f"{key}.{name}", f"{value} is out of range", f"a value that robust.{name} accepts")
+    kicks = robust["kick"] or "kick" in {**(robust["combined"] or {}), **(robust["margins"] or {})}
+    if kicks and robust["horizon_s"] < KICK_S + AFTER_KICK_S:
+        message = f"an episode of {robust['horizon_s']:g} s ends too early after the kick at {KICK_S:g} s"
+        yield Broken("horizon_s", message, f"at least {KICK_S + AFTER_KICK_S:g} s, or no kick")
+
+
+@relation(_changes_are_known)
 @dataclass(frozen=True)
 class Robust:
     """``protocol.robust``: one property of the world changed at a time, the same for every episode.
@@ -218,7 +248,7 @@ class Robust:
         delay_s: delays of the actions, s, rounded to physics steps.
         reading_delay_s: delays of the observations in ``noise_std``, s, rounded to physics steps.
         lost_readings: probability that a control step has no new reading of an observation in ``noise_std``.
-        imu_tilt: rotation of the IMU about the base's y axis, rad.
+        imu_tilt: pitch of the IMU relative to the base, rad.
         gyro_bias: bias of the gyroscope about all axes, rad/s.
         encoder_offset: each joint's encoder has an offset that is drawn from ± this value, rad.
         slope: slope of the floor in a random direction, rad.

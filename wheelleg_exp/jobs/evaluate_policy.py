@@ -290,17 +290,21 @@ def margins_of(additions: Sequence[Mapping[str, Any]], checkpoint_sha256: str | 
     ``additions`` are the entries of the run's manifest. With ``checkpoint_sha256``, only evaluations of this checkpoint
     count.
     """
-    newest: dict[str, dict[str, float]] = {}
-    for entry in additions:
-        kind, results = entry.get("kind"), entry.get("results")
-        results = results if isinstance(results, Mapping) else {}
-        is_wanted = kind == Reference.name or checkpoint_sha256 in (None, results.get("checkpoint_sha256"))
-        metrics = results.get("metrics") if is_wanted and kind in ("evaluation", Reference.name) else None
+
+    def margins(results: Mapping[str, Any]) -> dict[str, float]:
+        metrics = results.get("metrics")
         found = {name: metrics.get(name) for name in MARGINS} if isinstance(metrics, Mapping) else {}
-        numbers = {name: value for name, value in found.items() if isinstance(value, (int, float))}
-        newest |= {str(kind): numbers} if numbers else {}
-    mine, reference = (newest.get(kind, {}) for kind in ("evaluation", Reference.name))
-    return [Margin(*MARGINS[name], value, reference.get(name)) for name, value in mine.items()]
+        return {name: value for name, value in found.items() if isinstance(value, (int, float))}
+
+    kept = [(entry.get("kind"), entry.get("results")) for entry in additions]
+    results = [(kind, found) for kind, found in kept if isinstance(found, Mapping) and margins(found)]
+    sha, scenarios = "checkpoint_sha256", "scenarios_sha256"
+    mine = [r for kind, r in results if kind == "evaluation" and checkpoint_sha256 in (None, r.get(sha))]
+    if not mine:
+        return []
+    same = [r for kind, r in results if kind == Reference.name and r.get(scenarios) == mine[-1].get(scenarios)]
+    reference = margins(same[-1]) if same else {}
+    return [Margin(*MARGINS[name], value, reference.get(name)) for name, value in margins(mine[-1]).items()]
 
 
 def _figure(value: Mapping[str, Any]) -> Figure:

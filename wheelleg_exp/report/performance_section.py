@@ -321,7 +321,7 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
             [Cell(f"{capital(name)}, {unit}"), Cell(number(policy), number=True), Cell(number(other), number=True)]
             for name, unit, policy, other in margins
         ]
-        found.append(Table("Largest change that 95 % of the episodes survive", ("Change", "Policy", "Reference"), rows))
+        found.append(Table("Largest survived change", ("Change", "Policy", "Reference"), rows))
     for compared in subject.additions("comparison")[-1:]:
         verdict = compared["results"].get("verdict") if isinstance(compared.get("results"), Mapping) else None
         found += [Text(verdict)] if verdict else []
