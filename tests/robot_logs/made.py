@@ -101,7 +101,7 @@ def chirp(bundle: Path, truth: Mapping[str, np.ndarray], weights: Callable[[str]
     spec = json.loads((bundle / "policy.json").read_text())
     scene = bundle / "robot" / "weighted.xml"
     scene.write_text(weights((bundle / "robot" / "scene.xml").read_text()))
-    robot, played = chirps.HungRobot(spec, scene), chirps.Chirps(spec)
+    robot, played = simulate.HungRobot(spec, scene), chirps.Chirps(spec)
     fields = {"armature": "dof_armature", "friction": "dof_frictionloss", "viscous_friction": "dof_damping"}
     for name, field in fields.items():
         getattr(robot.model, field)[robot.qvel] = truth[name]

@@ -59,6 +59,19 @@ FAULTS = {
 }
 
 
+def a_held_row(log: Columns) -> Columns:
+    found = {name: column.copy() for name, column in log.items()}
+    for name in SPEEDS:
+        found[name][150] = np.nan
+    return found | {"status": np.where(np.arange(len(log["time"])) == 150, 2.0, 0.0)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [lambda log: {n: np.round(c, 6) for n, c in log.items()}, a_held_row])
+def test_a_rounded_log_and_a_missing_reading_are_not_findings(stand, clean, change):
+    assert compare_log(log_of(change(clean)), *stand).findings == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", FAULTS)
 def test_a_seeded_fault_is_the_only_finding(stand, clean, kind):

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     """Identify the motors, print the parameters and the prediction errors, and write the profile."""
     weights = dict(map(_weight, args.weight))
     output = args.output or Path(f"{args.robot}_identified.yaml")
-    if not re.fullmatch(r"[\w-]+\.yaml", output.name):
+    if not re.fullmatch(r"(?!null|true|false|yes|no|on|off)[A-Za-z][\w-]*\.yaml", output.name):
         raise UsageError(f"'{output.name}' is not a name of a profile", key="-o", expected="such as my_robot.yaml")
 
     from wheelleg_exp.build import prepare_asset

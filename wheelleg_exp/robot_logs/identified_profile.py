@@ -33,7 +33,9 @@ def profile_text(found: Identified, base: str, name: str, log: str, groups: Mapp
         steps = [p.value / found.physics_dt for p in delays]
         text = ", ".join(f"{p.joint} {1e3 * p.value:.3g} ms ({1e3 * p.low:.3g} to {1e3 * p.high:.3g})" for p in delays)
         bounds = [math.floor(min(steps) + _ROUNDED), math.ceil(max(steps) - _ROUNDED)]
-        lines.append(f"    delay: {[min(bounds), max(bounds)]}   # physics steps; {text}")
+        low, high = min(bounds), max(bounds)
+        delay = f"min_delay: {low}\n    max_delay: {high}" if group in found.delayed else f"delay: [{low}, {high}]"
+        lines.append(f"    {delay}   # physics steps; {text}")
         for p in (values[joint, "effort_scale"] for joint in joints if (joint, "effort_scale") in values):
             interval = f"({p.low:.4g} to {p.high:.4g})"
             lines.append(f"    # The logged effort of {p.joint} is {p.value:.4g} times its torque {interval}.")

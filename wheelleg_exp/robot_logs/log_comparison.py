@@ -19,12 +19,12 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.jobs.export.bundle.runner import Policy, projected_gravity
+from wheelleg_exp.jobs.export.bundle.runner import HELD, LATE, OK, Policy, array, projected_gravity
 from wheelleg_exp.jobs.export.export_bundle import BUNDLE, export
 from wheelleg_exp.jobs.saved_robot import saved_mjcf
 from wheelleg_exp.robot_logs.log_faults import Fault, possible_faults
 from wheelleg_exp.robot_logs.log_simulation import LogSimulation, Sensing, channels
-from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, read_log
+from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, noise_of, read_log
 from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.rotation import quat_to_matrix
@@ -34,10 +34,11 @@ _SMALLEST = dict(zip(_READINGS, (2e-4, 5e-3, 3e-3, 5e-4), strict=True))  # Small
 _SMALLEST_SHARE = 0.02  # of a column's motion in 0.1 s
 # The largest ordinary noise (standard deviation) is the noise that velocity tasks of mjlab and Isaac Lab train with.
 _NOISE = dict(zip(_READINGS, (0.006, 0.9, 0.12, 0.03), strict=True))
-_NOISE_RATIO, _NOISE_SHARE = 5.0, 0.1
+_NOISE_RATIO, _NOISE_SHARE = 5.0, 0.25
 _LEAST_SCORE, _LEAST_SCORE_OF_OFFSETS, _CERTAIN = 0.8, 0.2, 0.8
 _FEW, _MANY, _LEAST_WINDOWS, _ROUNDS, _ENVS = 60, 240, 10, 4, 512
 _POLICY_TOLERANCE, _SMALLEST_TARGET = 0.02, 1e-3
+_ROUNDING, _SAME_ACTION = 2e-6, 0.05
 _HELD_ROWS, _FROZEN_ROWS, _HELD_SHARE, _HELD_JUMP = 3, 30, 0.01, 5.0
 
 
@@ -99,11 +100,8 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
     names = policy.spec["joint_names"]
     columns = channels(names)
     logged = log.table(columns)
-    findings += [
-        *clock_findings(log, policy.spec["step_dt"]),
-        *held_findings(log, columns),
-        *noise_findings(log, columns),
-    ]
+    findings += clock_findings(log, policy.spec["step_dt"])
+    findings += held_findings(log, columns) + noise_findings(log, columns)
     if any(finding.kind in ("time", "stale") for finding in findings):
         # A simulation from readings of the wrong time would blame the wrong column.
         difference, _ = replay_difference(log, policy, logged)
@@ -153,8 +151,11 @@ def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[Log
         orders = [np.array([projected_gravity(quat) for quat in np.roll(quats, shift, axis=1)]) for shift in (0, 1)]
         # The gyroscope turns gravity by -omega x gravity; over six rows, this motion exceeds the noise.
         moved = [np.diff(g, axis=0) + np.cross(gyro, g)[1:] * spec["step_dt"] for g in orders]
-        errors = [float(np.median(np.linalg.norm(np.diff(np.cumsum(m, axis=0)[::6], axis=0), axis=1))) for m in moved]
-        upright = [float(-np.median(g[:, 2])) for g in orders]
+        errors = [
+            float(np.median(np.linalg.norm(np.diff(np.cumsum(np.nan_to_num(m), axis=0)[::6], axis=0), axis=1)))
+            for m in moved
+        ]
+        upright = [float(-np.nanmedian(g[:, 2])) for g in orders]
         exchanged = upright[1] > 0.5 and (upright[0] < 0.5 or errors[1] < 0.7 * errors[0])
         columns |= dict(zip(gravity, orders[exchanged].T.astype(np.float64), strict=True))
         if exchanged:
@@ -184,7 +185,8 @@ def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
         parts = [column for column in columns if column.startswith(f"{reading}.")]
         sensors = [(part,) for part in parts] if reading.startswith("joint_") else [tuple(parts)]
         for sensor in sensors:
-            change = np.abs(np.diff(log.table(sensor), axis=0)).max(axis=1)
+            values = log.table(sensor)  # A missing reading is not an old value.
+            change = np.abs(np.diff(values[np.isfinite(values).all(axis=1)], axis=0)).max(axis=1)
             moves = np.flatnonzero(change > 0)
             ends = np.concatenate(([-1], moves, [len(change)]))
             held = np.diff(ends) - 1  # how many rows repeat the row before, between two changes of the value
@@ -199,14 +201,6 @@ def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
                 change_ = "read the sensor in each control step, and treat old values as missing"
                 findings.append(LogFinding("stale", sensor, wrong, evidence, change_, float(stale / len(change))))
     return findings
-
-
-def noise_of(values: Numbers) -> Numbers:
-    """Return the standard deviation of the white noise in columns (T, C), from their third differences, (C,).
-
-    The third difference of white noise has 1 + 9 + 9 + 1 = 20 times its variance; slow motion almost vanishes in it.
-    """
-    return np.sqrt(np.median(np.diff(values, n=3, axis=0) ** 2, axis=0) / 0.4549 / 20)
 
 
 def noise_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
@@ -228,7 +222,9 @@ def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[flo
     """Return the largest difference of the policy's targets from the sent targets, and its column.
 
     The difference of a column is the RMS of its errors, divided by its standard deviation. ``true`` (T, C) replaces the
-    log's readings of joints and IMU.
+    log's readings of joints and IMU. In each row, the policy observes the last action that was sent, not its own: a
+    policy amplifies rounding errors that it observes as its last action. Rows with a held reading or a missed step only
+    continue the policy's memory.
     """
     spec, channel_ids = policy.spec, {name: i for i, name in enumerate(channels(policy.spec["joint_names"]))}
     tables = {}
@@ -236,27 +232,54 @@ def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[flo
         names = columns_of(name, known["width"], spec["joint_names"])
         is_channel = all(column in channel_ids for column in names)
         tables[name] = true[:, [channel_ids[column] for column in names]] if is_channel else log.table(names)
-    starts, sent, found = log.starts(spec["step_dt"]), [], []
-    resets = log.columns.get("reset", starts) > 0
-    resets[0] = True
-    for row in np.flatnonzero(log.accepted):
-        if resets[row]:
-            policy.reset()
-        try:
-            targets = policy.step({name: table[row] for name, table in tables.items()})
-        except ValueError as error:
-            raise LogError(f"the policy rejects row {row}: {error}", key=str(log.path)) from error
-        found.append(np.concatenate([targets[kind] for kind in TARGETS]))
-        sent.append(row)
+        rule = spec["safety"]["readings"][name]
+        if rule["check"] == "command":
+            tables[name] = np.clip(tables[name], array(rule["low"], -np.inf), array(rule["high"], np.inf))
     columns = [f"target_{kind}.{name}" for kind in TARGETS for name in spec["joint_names"]]
     known = [i for i, column in enumerate(columns) if column in log.columns]
     if not known:
         raise LogError("the log has no column of sent targets", key=str(log.path), expected=columns[0])
-    logged = log.table([columns[i] for i in known])[sent]
-    errors = np.sqrt(np.mean((np.stack(found)[:, known] - logged) ** 2, axis=0))
+    sent = np.stack([log.targets(kind, spec["joint_names"]) for kind in TARGETS], axis=1)
+    resets = log.columns.get("reset", log.starts(spec["step_dt"])) > 0
+    status, rows, found = log.columns.get("status", np.zeros(len(log))), list[int](), list[np.ndarray]()
+    last: dict[str, Numbers] = {}
+    for row in np.flatnonzero(np.isin(status, (OK, HELD, LATE))):
+        if resets[row] or not last:
+            policy.reset()
+        elif policy.steps:
+            policy.action = _sent_action(policy, sent[row - 1])
+        # A missing reading keeps its last good value, as in ``Policy.update``.
+        last = {n: np.where(np.isfinite(x[row]), x[row], last.get(n, x[row])) for n, x in tables.items()}
+        try:
+            targets = policy.step(last)
+        except ValueError as error:
+            raise LogError(f"the policy rejects row {row}: {error}", key=str(log.path)) from error
+        if status[row] == OK:
+            rows.append(int(row))
+            found.append(np.concatenate([targets[kind] for kind in TARGETS])[known])
+    if not rows:
+        raise LogError("the policy ran in no row of the log", key=str(log.path), expected="rows with status 0")
+    logged = log.table([columns[i] for i in known])[rows]
+    errors = np.sqrt(np.mean((np.stack(found) - logged) ** 2, axis=0))
     shares = errors / np.maximum(logged.std(axis=0), _SMALLEST_TARGET)
     worst = int(np.argmax(np.nan_to_num(shares, nan=np.inf)))
     return float(shares[worst]), columns[known[worst]]
+
+
+def _sent_action(policy: Policy, sent: Numbers) -> np.ndarray:
+    """Return the last action (A,) that the targets ``sent`` (3, J) show.
+
+    The policy's own action is returned where it differs only by rounding, and where it differs much: targets do not
+    show an action that was clipped to a limit.
+    """
+    action: np.ndarray = policy.action.copy()
+    for term in policy.spec["actions"]:
+        if term["function"] == "affine" and all(term["scale"]):
+            own, values = action[term["start"] : term["stop"]], sent[TARGETS.index(term["drives"]), term["joint_ids"]]
+            raw = (values - np.array(term["offset"])) / np.array(term["scale"])
+            share = np.abs(raw - own) / (1 + np.abs(own))
+            own[:] = np.where((share > _ROUNDING) & (share < _SAME_ACTION), raw, own)
+    return action
 
 
 class _Search:

@@ -106,9 +106,8 @@ def possible_faults(
             wrong = f"{what}: {column} is {{value:+.3g}} too high"
             yield Fault("offset", (column,), wrong, change, make.moved(column), value, True, 0.0, 0.02)
     for axes in _axis_permutations():
-        text = (
-            "(" + ", ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in axes) + ")"
-        )
+        words = [f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in axes]
+        text = f"({', '.join(words)})"
         for columns, what in ((gyro, "base_ang_vel"), (gravity, "projected_gravity"), (gyro + gravity, "the IMU")):
             block = np.kron(np.eye(len(columns) // 3), axes)
             inverted = np.array_equal(axes, -np.eye(3)) and columns == gravity
@@ -148,10 +147,8 @@ def _joint_faults(
                 yield from _scales(make, columns, columns[0], _SCALES)
         if name not in rolling:
             column = f"joint_pos.{name}"
-            wrong, change = (
-                f"the encoder of {name} reads {{value:+.3g}} rad too much",
-                f"subtract {{value:.3g}} rad from {column}",
-            )
+            wrong = f"the encoder of {name} reads {{value:+.3g}} rad too much"
+            change = f"subtract {{value:.3g}} rad from {column}"
             for value in _ANGLES:
                 yield Fault("offset", (column,), wrong, change, make.moved(column), value, True, 0.0, 0.01)
     for one, other in combinations(joint_names, 2):

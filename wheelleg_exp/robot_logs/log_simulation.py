@@ -24,6 +24,7 @@ from wheelleg_exp.robot_logs.robot_log import TARGETS, Numbers, RobotLog
 from wheelleg_exp.sim import rotation
 
 WINDOW_S, MOST_LAG = 0.1, 6  # MOST_LAG is the longest delay that is tried, in rows.
+_LANDING_S = 1.0  # s; the start of an episode that windows leave out
 _PLANE = "wheelleg_exp.sim.terrain.Plane"
 _FRICTION = ("static_friction", "dynamic_friction", "restitution")
 
@@ -59,10 +60,6 @@ class Sensing:
         offset = (self.matrix @ first.offset[..., None])[..., 0] + self.offset
         lag = np.minimum(self.lag + first.lag, MOST_LAG)
         return Sensing(matrix, offset, lag, self.gain * first.gain)
-
-    def rows(self, which: Any) -> Sensing:
-        """Return the models with the indices ``which``."""
-        return Sensing(self.matrix[which], self.offset[which], self.lag[which], self.gain[which])
 
     def true_values(self, logged: Numbers, rows: np.ndarray) -> Numbers:
         """Return the true values of logged readings (T, C) in ``rows`` (R,), as each model explains them, (N, R, C)."""
@@ -114,7 +111,9 @@ class LogSimulation:
     def windows(self, log: RobotLog, most: int) -> np.ndarray:
         """Return the first rows (W,) of at most ``most`` windows without gaps and resets: those with most motion."""
         logged, length = log.table(channels(self.robot.joint_names)), self.length
-        broken = log.starts(self.step_dt) | ~log.accepted
+        # A robot that lands after a reset has contacts that the simulated windows lack.
+        started = np.convolve(log.starts(self.step_dt), np.ones(round(_LANDING_S / self.step_dt)))[: len(log)] > 0
+        broken = started | ~log.accepted
         ends = np.arange(length, len(log) - MOST_LAG, length)
         whole = [end for end in ends if not broken[end - length + 1 : end + MOST_LAG].any()]
         rows = np.array(

@@ -28,8 +28,10 @@ import torch
 from scipy import optimize, stats
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import SceneManager
-from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of
+from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, noise_of
+from wheelleg_exp.sim.actuators import DelayedPDActuator
 from wheelleg_exp.sim.robot_model import RobotLayout
 
 PARAMETERS = ("armature", "friction", "viscous_friction", "gain", "delay", "effort_scale")
@@ -40,14 +42,8 @@ _AVERAGED = 6  # rows
 _MOST_FITS, _BAD = 4, 1.5  # a fit is bad if its error is larger than 1.5 times the noise
 _STEP, _MOST_EVALUATIONS = 1e-3, 25
 _GRAVITY = 9.81
-_FIRST = (
-    0.1,
-    0.5,
-    0.5,
-    0.2,
-    0.5,
-    0.2,
-)  # least first guess of each unknown, because a joint without friction never sticks
+# The least first guess of each unknown, because a joint without friction never sticks.
+_FIRST = (0.1, 0.5, 0.5, 0.2, 0.5, 0.2)
 _LEAST_LOAD = 0.005  # least torque of gravity, as a share of the effort limit, from which an effort scale is found
 
 
@@ -77,6 +73,7 @@ class Identified:
     drives: Mapping[str, Any]
     physics_dt: float
     groups: Mapping[str, list[str]]  # the joints of each actuator group
+    delayed: frozenset[str]  # the actuator groups whose delay is ``min_delay`` and ``max_delay``
 
 
 Weight = tuple[float, float]  # a mass, kg, and its distance from the joint's axis, m
@@ -111,6 +108,11 @@ class ChirpSimulation:
             group |= dict.fromkeys({"min_delay", "max_delay"} & group.keys(), 0)
         self.scene = SceneManager(found, mjcf, num_envs).scene
         for joint, (mass, radius) in weights.items():
+            if joint not in (known := self.scene.robot.joint_names):
+                nearest, expected = nearest_name(joint, known), "one of " + ", ".join(known)
+                raise ConfigError(
+                    f"the robot has no joint '{joint}'", key="--weight", expected=expected, nearest=nearest
+                )
             _add_weight(self.scene.spec, self.scene.robot.layout, joint, mass, radius)
         self.scene.play()
         self.robot, self.sim, self.decimation = self.scene.robot, self.scene.sim, int(found["decimation"])
@@ -213,8 +215,11 @@ def identify(
     Every second half of the log's pieces (the chirps that ``chirps.py`` plays from high to low frequency) is held out.
     ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps.
     """
-    names_of_gravity = columns_of("projected_gravity", 3, ())
-    mean = log.table(names_of_gravity).mean(axis=0) if log.has(names_of_gravity) else np.array([0.0, 0.0, -1.0])
+    columns = columns_of("projected_gravity", 3, ())
+    mean = log.complete_table(columns).mean(axis=0) if log.has(columns) else np.array([0.0, 0.0, -1.0])
+    if np.linalg.norm(mean) < 0.5:
+        message = "the columns projected_gravity.x, .y, .z are not a direction"
+        raise LogError(message, key=str(log.path), expected="a unit vector")
     gravity = _GRAVITY * mean / np.linalg.norm(mean)
     probe = ChirpSimulation(env, mjcf, 1, gravity, weights)
     pieces = _pieces(log, probe)
@@ -241,7 +246,9 @@ def identify(
     ]
     drives = {key: dict(zip(probe.names, values.tolist(), strict=True)) for key, values in probe.drives.items()}
     groups = {name: list(group.joint_names) for name, group in probe.robot.actuators.items()}
-    return Identified(parameters, scores[0], scores[1], (half, len(held_out.start)), drives, probe.dt, groups)
+    delayed = frozenset(name for name, group in probe.robot.actuators.items() if isinstance(group, DelayedPDActuator))
+    counts = (half, len(held_out.start))
+    return Identified(parameters, scores[0], scores[1], counts, drives, probe.dt, groups, delayed)
 
 
 def _delays(env: Mapping[str, Any], dt: float) -> dict[str, float]:
@@ -257,6 +264,7 @@ def _delays(env: Mapping[str, Any], dt: float) -> dict[str, float]:
 def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
     """Cut the log where all targets rest: each piece starts at rest and ends before the next one."""
     names, step_dt = simulation.names, simulation.dt * simulation.decimation
+    log.complete_table([f"target_{kind}.{name}" for kind in TARGETS[:2] for name in names])
     targets = np.stack([log.targets(kind, names) for kind in TARGETS], axis=1)
     rest = round(_REST_S / step_dt)
     still = np.append(True, np.abs(np.diff(targets, axis=0)).max(axis=(1, 2)) < 1e-9)
@@ -264,11 +272,15 @@ def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
     for row in range(1, len(log)):
         run[row] = run[row - 1] + 1 if still[row] else 0
     starts = np.flatnonzero((run[:-1] >= rest) & ~still[1:])
-    if len(starts) < 2 or log.starts(step_dt)[1:].any():
-        message = "the log contains no chirps that start at rest, or gaps between its rows"
-        raise LogError(message, key=str(log.path), expected="a log of the bundle's chirps.py, one row per control step")
+    gaps = np.flatnonzero(log.starts(step_dt)[1:]) + 1
+    if len(gaps):
+        message = f"row {gaps[0]} does not follow the row before after one control step of {step_dt:.4g} s"
+        raise LogError(message, key=str(log.path), expected="one row per control step of the config")
+    if len(starts) < 2:
+        message = "the log contains no chirps that start at rest"
+        raise LogError(message, key=str(log.path), expected="a log of the bundle's chirps.py")
     length = int(np.diff(np.append(starts, len(log) - 1)).max())
-    readings = [log.table([f"{reading}.{name}" for name in names]) for reading in READINGS[:2]]
+    readings = [log.complete_table([f"{reading}.{name}" for name in names]) for reading in READINGS[:2]]
     effort = [f"joint_effort.{name}" for name in names]
     readings.append(log.table(effort) if log.has(effort) else np.full(readings[0].shape, np.nan))
     logged, ends = np.stack(readings, axis=1), np.append(starts[1:], len(log) - 1)
@@ -285,8 +297,8 @@ def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
 
 def _noise(logged: Numbers) -> Numbers:
     """Return the noise of each column from third differences, at least a thousandth of its motion, (1, 1, 3, J)."""
-    third = np.nanmedian(np.diff(logged, n=3, axis=0) ** 2, axis=(0, 1), keepdims=True)
-    return np.maximum(np.sqrt(third / 0.4549 / 20), 1e-3 * np.nanstd(logged, axis=(0, 1), keepdims=True) + 1e-12)
+    least = 1e-3 * np.nanstd(logged, axis=(0, 1), keepdims=True) + 1e-12
+    return np.maximum(noise_of(logged, (0, 1)), least)
 
 
 def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shifts: Numbers | None = None) -> Numbers:

@@ -63,7 +63,7 @@ def _safety(spec: Mapping[str, Any]) -> list[str]:
         for name, rule in rules["readings"].items()
     ]
     steps = (
-        f"Lay down: put the robot down and do not touch it. The gain is 0. The phase lasts until all readings are "
+        f"Rest: lay the robot on the ground and do not touch it. The gain is 0. The phase lasts until all readings are "
         f"good and still for {start['rest_s']:g} s.",
         f"Lift: hold the robot upright with its wheels on the ground. In {start['lift_s']:g} s, the joints move to "
         "their default positions and the gain rises to 1.",
@@ -252,7 +252,8 @@ def _margins(spec: Mapping[str, Any]) -> list[str]:
     if not spec["margins"]:
         return [head + "Not measured: run `wheelleg evaluate RUN protocol=robust` before the export."]
     rows = [(row["name"], _number(row["policy"]), _number(row["reference"]), row["unit"]) for row in spec["margins"]]
-    text = "The largest changes that 95 % of the episodes survive in simulation, each alone (`protocol=robust`)."
+    text = "The largest changes, each alone, that the policy survived in simulation (`protocol=robust`: by default, in "
+    text += "95 % of 128 episodes)."
     return [head + text, _table(("change", "policy", "reference controller", "unit"), rows)]
 
 

@@ -2,7 +2,7 @@
 
 Hang up the robot by its base, or clamp the base, so that legs and wheels move freely. On the robot:
 
-    chirps = Chirps(json.load(open("policy.json")))
+    chirps, rows = Chirps(json.load(open("policy.json"))), []
     for step in range(chirps.steps):                   # every step_dt seconds
         readings = read_sensors()                      # joint_pos, joint_vel, joint_effort, projected_gravity
         send(chirps.targets(step))                     # position, velocity, effort of all joints
@@ -23,16 +23,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-from runner import projected_gravity
-from simulate import HERE, Robot
 
 SECONDS, REST = 6.0, 1.5
 LOWEST, HIGHEST = 0.3, 8.0  # Hz; the frequency grows exponentially, and is limited to an eighth of the control rate.
 AMPLITUDE, SPEED = 0.3, 0.3  # rad; share of the velocity limit
 EFFORT = 0.5  # largest planned share of the effort limit
-HEAVY = 1e6  # factor on the base's mass in the simulation, which makes the base immovable
 
 
 class Chirps:
@@ -84,41 +80,6 @@ class Chirps:
         return found
 
 
-class HungRobot(Robot):
-    """The simulated robot with an immovable base, one metre above the ground."""
-
-    def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
-        x, y, z = spec["root"]["pos"]
-        super().__init__({**spec, "root": {**spec["root"], "pos": [x, y, z + 1.0]}}, scene)
-        self.model.body_mass[self.root.id] *= HEAVY
-        self.model.body_inertia[self.root.id] *= HEAVY
-        self.model.opt.tolerance = 0.0  # MuJoCo scales the tolerance by the mean inertia, which the base makes huge.
-        mujoco.mj_setConst(self.model, self.data)
-        self.reset()
-
-    def reset(self) -> None:
-        """Place the robot in its default pose, and compensate the weight of the base."""
-        super().reset()
-        self.data.xfrc_applied[self.root.id, :3] = -self.model.opt.gravity * self.model.body_mass[self.root.id]
-
-    def play(self, chirps: Chirps) -> list[dict[str, float]]:
-        """Return the log of all chirps."""
-        rows = []
-        for step in range(chirps.steps):
-            readings = self.readings({})
-            readings["projected_gravity"] = projected_gravity(readings["base_quat"])
-            rows.append(chirps.row(step * chirps.dt, readings, step))
-            self.advance(chirps.targets(step))
-        return rows
-
-    def advance(self, targets: Mapping[str, np.ndarray]) -> None:
-        """Advance by one control step, and put the base back into its place."""
-        for _ in range(self.spec["decimation"]):
-            self.drive(targets)
-            mujoco.mj_step(self.model, self.data)
-        self.data.qpos[:7], self.data.qvel[:6] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]], 0.0
-
-
 def write(path: str | Path, rows: Sequence[Mapping[str, float]]) -> None:
     """Write a log as CSV."""
     with Path(path).open("w", newline="", encoding="utf-8") as stream:
@@ -132,7 +93,9 @@ def main(words: Sequence[str]) -> int:
     if len(words) != 1:
         print("usage: python chirps.py LOG.csv", file=sys.stderr)
         return 2
-    spec = json.loads((HERE / "policy.json").read_text(encoding="utf-8"))
+    from simulate import HungRobot  # A robot plays chirps without mujoco.
+
+    spec = json.loads(Path(__file__).with_name("policy.json").read_text(encoding="utf-8"))
     rows = HungRobot(spec).play(Chirps(spec))
     write(words[0], rows)
     print(f"wrote {len(rows)} rows ({len(rows) * spec['step_dt']:.0f} s) to {words[0]}")

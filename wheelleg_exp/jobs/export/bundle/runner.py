@@ -478,11 +478,11 @@ class Log:
         joints, row = self.policy.spec["joint_names"], [f"{time:.6f}"]
         with self.path.open("a" if self.fields else "w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file)
+            if "base_quat" in readings and "projected_gravity" not in readings:
+                readings = {**readings, "projected_gravity": gravity_or_zeros(readings["base_quat"])}
             if not self.fields:
                 widths = {name: known["width"] for name, known in self.policy.spec["readings"].items()}
                 widths |= {name: np.size(value) for name, value in readings.items() if name not in widths}
-                if "projected_gravity" not in readings:
-                    widths.pop("projected_gravity", None)
                 self.fields = {name: columns(name, width, joints) for name, width in widths.items()}
                 names = [name for fields in self.fields.values() for name in fields]
                 sent = [f"target_{key}.{joint}" for key in TARGETS for joint in joints]

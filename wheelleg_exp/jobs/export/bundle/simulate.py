@@ -22,6 +22,7 @@ from runner import Policy, array, projected_gravity
 
 HERE = Path(__file__).parent
 LAWS = ("implicit", "pd", "dc_motor")
+HEAVY = 1e6  # factor on the base's mass, which makes the base of a ``HungRobot`` immovable
 FALLEN = 0.5  # A robot counts as fallen above a tilt of 60 degrees, whose cosine is 0.5.
 
 
@@ -134,6 +135,41 @@ class Robot:
     def upright(self) -> float:
         """Cosine of the tilt."""
         return -float(projected_gravity(self.data.qpos[3:7])[2])
+
+
+class HungRobot(Robot):
+    """The simulated robot with an immovable base, one metre above the ground."""
+
+    def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
+        x, y, z = spec["root"]["pos"]
+        super().__init__({**spec, "root": {**spec["root"], "pos": [x, y, z + 1.0]}}, scene)
+        self.model.body_mass[self.root.id] *= HEAVY
+        self.model.body_inertia[self.root.id] *= HEAVY
+        self.model.opt.tolerance = 0.0  # MuJoCo scales the tolerance by the mean inertia, which the base makes huge.
+        mujoco.mj_setConst(self.model, self.data)
+        self.reset()
+
+    def reset(self) -> None:
+        """Place the robot in its default pose, and compensate the weight of the base."""
+        super().reset()
+        self.data.xfrc_applied[self.root.id, :3] = -self.model.opt.gravity * self.model.body_mass[self.root.id]
+
+    def play(self, chirps: Any) -> list[dict[str, float]]:
+        """Return the log of all chirps."""
+        rows = []
+        for step in range(chirps.steps):
+            readings = self.readings({})
+            readings["projected_gravity"] = projected_gravity(readings["base_quat"])
+            rows.append(chirps.row(step * chirps.dt, readings, step))
+            self.advance(chirps.targets(step))
+        return rows
+
+    def advance(self, targets: Mapping[str, np.ndarray]) -> None:
+        """Advance by one control step, and put the base back into its place."""
+        for _ in range(self.spec["decimation"]):
+            self.drive(targets)
+            mujoco.mj_step(self.model, self.data)
+        self.data.qpos[:7], self.data.qvel[:6] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]], 0.0
 
 
 def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:

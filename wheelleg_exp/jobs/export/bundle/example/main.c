@@ -22,7 +22,11 @@ int main(int argc, char **argv) {
     static float values[POLICY_NUMBERS];
     FILE *file = fopen(argc > 1 ? argv[1] : "readings.csv", "r");
     int i, status;
-    if (!file || !fgets(line, sizeof line, file) || strncmp(line, columns, sizeof columns - 1)) {
+    if (!file) {
+        perror(argc > 1 ? argv[1] : "readings.csv");
+        return 1;
+    }
+    if (!fgets(line, sizeof line, file) || strncmp(line, columns, sizeof columns - 1)) {
         fprintf(stderr, "the first line of the file must start with: %s\n", columns);
         return 1;
     }
