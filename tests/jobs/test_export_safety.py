@@ -385,3 +385,14 @@ def test_a_header_in_single_precision_calls_no_double_function(bundle, tmp_path)
     for name in (b"exp", b"expm1", b"tanh", b"log1p"):
         assert b"\0" + name + b"f\0" in object_file
         assert b"\0" + name + b"\0" not in object_file
+
+
+def test_a_log_keeps_an_orientation_that_the_first_row_lacks(bundle, tmp_path):
+    policy = runner.Policy(bundle)
+    log = runner.Log(tmp_path / "log.csv", policy)
+    for time, readings in ((0.0, {}), (1 / 60, {"base_quat": [0.8, 0.0, 0.6, 0.0]})):
+        log.write(time, readings, policy.update(readings, time))
+    first, second = csv.DictReader((tmp_path / "log.csv").read_text().splitlines())
+    gravity = [f"projected_gravity.{axis}" for axis in "xyz"]
+    assert [first[name] for name in gravity] == [""] * 3
+    assert [float(second[name]) for name in gravity] == pytest.approx([0.96, 0.0, -0.28])
