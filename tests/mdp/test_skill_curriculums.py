@@ -10,7 +10,8 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.train.run_training import StuckCurricula
-from wheelleg_exp.mdp.curriculums import command_levels_by_skill, terrain_levels_by_distance
+from wheelleg_exp.mdp import schedules
+from wheelleg_exp.mdp.curriculums import action_delay_levels, command_levels_by_skill, terrain_levels_by_distance
 from wheelleg_exp.mdp.terminations import terrain_tile_left
 from wheelleg_exp.state import made
 
@@ -257,3 +258,20 @@ def test_a_tile_is_left_beyond_its_edge_along_either_axis(world):
     assert terrain_tile_left(world, margin=0.1).tolist() == [False] * N
     world.scene.terrain.size = (math.inf, math.inf)
     assert terrain_tile_left(world).tolist() == [False] * N
+
+
+def test_delays_and_kicks_grow_while_robots_survive_and_shrink_while_they_fall():
+    world = World()
+    delay = SimpleNamespace(share=None)
+    world.action_manager = SimpleNamespace(delays={"legs": delay})
+    levels = action_delay_levels(world, num_steps=4 * LONGEST, survival=0.75)
+    world.curriculum_manager = SimpleNamespace(get_term_cfg=lambda _: SimpleNamespace(func=levels))
+    shares = [world.episode(levels) for _ in range(6)]
+    assert shares == approx([0.25, 0.5, 0.75, 1.0, 1.0, 1.0])
+    assert world.episode(levels, steps=5) == approx(1.0 - 5 / 40)
+    assert delay.share == 1.0
+    assert schedules.by_level(world, ALL, None, [0.0, -1.0], [8.0, -9.0], "c") == approx([6.0, -7.0])
+    levels.level = 0.2
+    world.episode(levels, steps=4)
+    assert delay.share == approx(0.2)
+    assert schedules.by_level(world, ALL, None, [0.0, -1.0], [8.0, -9.0], "c") == [0.0, -1.0]

@@ -20,7 +20,8 @@ def with_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
         return cfg
     # The variant's events change the values that the task's events set, so they run last.
     events = {name: cfg["events"][name] for name in realism.events if cfg["events"].get(name) is not None}
-    cfg["events"] = {name: node for name, node in cfg["events"].items() if name not in events} | events
+    moved = {*events, *realism.replaces}
+    cfg["events"] = {name: node for name, node in cfg["events"].items() if name not in moved} | events
     cfg = with_sensor_errors(cfg, realism.sensors, realism.groups)
     return with_action_delay(cfg, realism.actions)
 

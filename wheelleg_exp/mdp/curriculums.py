@@ -27,17 +27,32 @@ def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight
     return float(term.fields["weight"])
 
 
-def action_delay_levels(env: Env, env_ids: torch.Tensor, num_steps: Count, first_step: Natural = 0) -> float:
-    """Increase the delays of all actions from their shortest delay to their full range. Not in Isaac Lab.
+class action_delay_levels(TermBase):
+    """Increase the delays of all actions while robots survive, else decrease them; return the level. Not in Isaac Lab.
 
-    The share of the range grows from 0 at the control step ``first_step`` to 1 after ``num_steps`` more control steps,
-    and is returned. A robot that cannot stand yet learns slowly if its actions are late.
+    At level 0, each action has its shortest delay; from level 0.5 on, its full range of delays. A robot that cannot
+    stand yet learns slowly if its actions are late. ``schedules.by_level`` changes another setting from level 0.5 on.
+
+    Args:
+        num_steps: control steps from level 0 to level 1.
+        survival: the level rises while the mean length of the last ended episodes, as many as there are environments,
+            is at least this share of the longest episode.
     """
-    del env_ids
-    share = min(max((env.common_step_counter - first_step) / num_steps, 0.0), 1.0)
-    for delay in env.action_manager.delays.values():
-        delay.share = share
-    return share
+
+    def __init__(self, env: Env, num_steps: Count, survival: Share) -> None:
+        del env
+        self._num_steps, self._least = num_steps, survival
+        self.level, self._length, self._step = 0.0, 0.0, 0
+
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> float:
+        length = float(env.episode_length_buf[env_ids].float().mean()) / env.max_episode_length
+        self._length += (length - self._length) * len(env_ids) / env.num_envs
+        change = (env.common_step_counter - self._step) / self._num_steps
+        self.level = min(max(self.level + (change if self._length >= self._least else -change), 0.0), 1.0)
+        self._step = env.common_step_counter
+        for delay in env.action_manager.delays.values():
+            delay.share = min(2.0 * self.level, 1.0)
+        return self.level
 
 
 _NO_CHANGE = object()

@@ -70,6 +70,7 @@ class Realism:
     Attributes:
         name: name of the variant in results.
         events: the variant's terms in ``env.events``; they run after all other events.
+        replaces: terms of the task in ``env.events`` that the variant removes.
         curriculum: the variant's terms in ``env.curriculum``.
         groups: the observation groups whose terms get the sensors' errors.
         sensors: the errors of observation terms, by the name of their function, such as ``joint_vel_rel``.
@@ -78,6 +79,7 @@ class Realism:
 
     name: str = "none"
     events: list[str] = field(default_factory=list)
+    replaces: list[str] = field(default_factory=list)
     curriculum: list[str] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
     sensors: dict[str, SensorRealism] = field(default_factory=dict)
