@@ -196,9 +196,8 @@ def read_yaml(path: Path) -> Any:
 def require_mapping(value: Any, path: Path) -> dict[str, Any]:
     """Return a value that was read from the file ``path``; raise RunDirectoryError if the value is not a mapping."""
     if not isinstance(value, dict):
-        raise RunDirectoryError(
-            f"the file contains a {type(value).__name__}, not a mapping", key=str(path), expected="a mapping"
-        )
+        message = f"the file contains a {type(value).__name__}, not a mapping"
+        raise RunDirectoryError(message, key=str(path), expected="a mapping")
     return value
 
 

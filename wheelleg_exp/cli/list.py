@@ -240,9 +240,8 @@ def _runs_folder(root: Path | None) -> Path:
     names = [path.name for path in parent.iterdir() if path.is_dir()] if parent.is_dir() else []
     found = nearest_name(root.name, names)
     nearest, expected = str(root.with_name(found)) if found else None, "the folder of the runs (run.root)"
-    raise WheellegError(
-        "the folder of the runs does not exist", key=str(root), where="--root", expected=expected, nearest=nearest
-    )
+    message = "the folder of the runs does not exist"
+    raise WheellegError(message, key=str(root), where="--root", expected=expected, nearest=nearest)
 
 
 def _run_row(run: RunSummary) -> list[Any]:

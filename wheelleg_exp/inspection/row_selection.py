@@ -123,9 +123,8 @@ def parse_iterations(text: str) -> tuple[int, int]:
     first, _, last = text.partition("-")
     if first.isdecimal() and (last.isdecimal() or text == first):
         if last and int(last) < int(first):
-            raise WheellegError(
-                f"the iteration range '{text}' ends before its start", key="--iteration", expected=f"{last}-{first}"
-            )
+            message = f"the iteration range '{text}' ends before its start"
+            raise WheellegError(message, key="--iteration", expected=f"{last}-{first}")
         return int(first), int(last or first)
     expected = "a number, or a range such as 50-60"
     raise WheellegError(f"'{text}' is not a training iteration or a range", key="--iteration", expected=expected)

@@ -76,9 +76,8 @@ def split_words(text: str) -> list[str]:
         else:
             depth += (letter in "([{") - (letter in ")]}")
     if quote or depth > 0:
-        raise WheellegError(
-            "the command line has an unclosed quote or bracket", key=text, expected="closed quotes and brackets"
-        )
+        message = "the command line has an unclosed quote or bracket"
+        raise WheellegError(message, key=text, expected="closed quotes and brackets")
     return [word for word in words if word]
 
 

@@ -121,9 +121,8 @@ def _model(source: Path) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_xml_path(str(source))
     except ValueError as error:
-        raise AssetError(
-            f"MuJoCo cannot read the robot file: {' '.join(str(error).split())}", where=str(source)
-        ) from None
+        message = f"MuJoCo cannot read the robot file: {' '.join(str(error).split())}"
+        raise AssetError(message, where=str(source)) from None
 
 
 def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
@@ -135,9 +134,8 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
     for joint in np.flatnonzero(scalar).tolist():
         name = model.joint(joint).name
         if not name:
-            raise AssetError(
-                "a joint of the robot has no name", where=str(source), expected="a name for every joint and body"
-            )
+            message = "a joint of the robot has no name"
+            raise AssetError(message, where=str(source), expected="a name for every joint and body")
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.inf, math.inf)
         positions[name] = float(min(max(qpos[model.jnt_qposadr[joint]], low), high))
     start = int(model.jnt_qposadr[free[0]]) + 3 if len(free) else None

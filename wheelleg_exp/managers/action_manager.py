@@ -75,9 +75,8 @@ class ActionManager(ManagerBase):
         self._action_terms: dict[str, ActionTerm] = {}
         for name, term in self._terms.items():
             if not isinstance(term.func, ActionTerm):
-                raise ConfigError(
-                    f"'{term.target}' is not the class of an action term", key=term.path, expected="an action term"
-                )
+                message = f"'{term.target}' is not the class of an action term"
+                raise ConfigError(message, key=term.path, expected="an action term")
             self._action_terms[name] = term.func
             width = getattr(term.func, "action_dim", None)
             if isinstance(width, bool) or not isinstance(width, int) or width < 1:

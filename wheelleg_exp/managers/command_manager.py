@@ -129,9 +129,8 @@ class CommandManager(ManagerBase):
         self.step_errors: dict[str, torch.Tensor] = {}
         for name, term in self._terms.items():
             if not isinstance(term.func, CommandTerm):
-                raise ConfigError(
-                    f"'{term.target}' is not the class of a command term", key=term.path, expected="a command term"
-                )
+                message = f"'{term.target}' is not the class of a command term"
+                raise ConfigError(message, key=term.path, expected="a command term")
             self._command_terms[name] = term.func
             term.form = row_form(self._num_envs, env.device)
 

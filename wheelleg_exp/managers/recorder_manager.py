@@ -248,13 +248,11 @@ class RecorderManager(ManagerBase):
                 for key, _ in found:
                     first = self._owners.setdefault(key, term.path)
                     if first != term.path:
-                        raise ConfigError(
-                            f"the key '{key}' is already recorded by term {first}", expected="a key for each quantity"
-                        )
+                        message = f"the key '{key}' is already recorded by term {first}"
+                        raise ConfigError(message, expected="a key for each quantity")
                     if key.split("/")[0] in _OWN:
-                        raise ConfigError(
-                            f"the key '{key}' is reserved for data about episodes", expected="another key"
-                        )
+                        message = f"the key '{key}' is reserved for data about episodes"
+                        raise ConfigError(message, expected="another key")
             yield from found
 
     def _append(self, hook: str) -> None:

@@ -133,9 +133,8 @@ class NoForm:
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError if ``value`` is not None; the message names the function ``source`` that returned it."""
         if value is not None:
-            raise ConfigError(
-                f"{source} returns {described(value)}, but must return nothing", expected="no return value"
-            )
+            message = f"{source} returns {described(value)}, but must return nothing"
+            raise ConfigError(message, expected="no return value")
 
 
 @dataclass

@@ -24,9 +24,8 @@ def parse(address: str) -> tuple[Part, ...]:
     for text in address.split("."):
         found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
         if found is None:
-            raise ConfigError(
-                f"'{address}' is not the address of a setting", key=_KEY, expected="names and indices, as in a.b[2].c"
-            )
+            message = f"'{address}' is not the address of a setting"
+            raise ConfigError(message, key=_KEY, expected="names and indices, as in a.b[2].c")
         parts += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
     return tuple(parts)
 

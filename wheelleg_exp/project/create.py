@@ -140,9 +140,8 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
     home = configs_dir().parent
     if (home / projects.FILE).is_file() and path.resolve().is_relative_to(home.resolve()):
         beside = Path(os.path.relpath(home.parent / path.name))
-        raise NameTaken(
-            "a project cannot be inside the package wheelleg_exp itself", key=str(path), nearest=str(beside)
-        )
+        message = "a project cannot be inside the package wheelleg_exp itself"
+        raise NameTaken(message, key=str(path), nearest=str(beside))
     if source is not None and not source.is_file():
         folder = source.absolute().parent
         names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
@@ -163,9 +162,8 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
 
 def _require_free(path: Path) -> None:
     if os.path.lexists(path):
-        raise NameTaken(
-            "the project folder exists already, and no file is overwritten", key=str(path), expected="a new name"
-        )
+        message = "the project folder exists already, and no file is overwritten"
+        raise NameTaken(message, key=str(path), expected="a new name")
 
 
 def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:

@@ -71,6 +71,5 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
         stream.pix_fmt = "yuv420p"
         stream.options = dict(_QUALITY) if codec == "libx264" else {}
         return stream, codec
-    raise WheellegError(
-        "PyAV has neither an H.264 nor an MPEG-4 encoder", expected="PyAV from its wheels: pip install av"
-    )
+    message = "PyAV has neither an H.264 nor an MPEG-4 encoder"
+    raise WheellegError(message, expected="PyAV from its wheels: pip install av")

@@ -236,9 +236,8 @@ def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list
         folders = [name] if index is None else [f for job in index.jobs if (f := index.run_of(job)) and f.is_dir()]
         for subject in [open_subject(folder, root if index is None else Path(folder).parent) for folder in folders]:
             if subject.status == AGENT:
-                raise RunDirectoryError(
-                    f"'{name}' is not a training run", expected="runs of 'wheelleg train', or a sweep"
-                )
+                message = f"'{name}' is not a training run"
+                raise RunDirectoryError(message, expected="runs of 'wheelleg train', or a sweep")
             runs[subject.path] = subject
     if not runs:
         raise RunDirectoryError(f"the sweep '{names[0]}' has no run yet", expected="a sweep that has started")

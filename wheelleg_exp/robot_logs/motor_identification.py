@@ -110,9 +110,8 @@ class ChirpSimulation:
         for joint, (mass, radius) in weights.items():
             if joint not in (known := self.scene.robot.joint_names):
                 nearest, expected = nearest_name(joint, known), "one of " + ", ".join(known)
-                raise ConfigError(
-                    f"the robot has no joint '{joint}'", key="--weight", expected=expected, nearest=nearest
-                )
+                message = f"the robot has no joint '{joint}'"
+                raise ConfigError(message, key="--weight", expected=expected, nearest=nearest)
             _add_weight(self.scene.spec, self.scene.robot.layout, joint, mass, radius)
         self.scene.play()
         self.robot, self.sim, self.decimation = self.scene.robot, self.scene.sim, int(found["decimation"])

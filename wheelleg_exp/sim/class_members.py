@@ -54,9 +54,8 @@ class UnsupportedMember:
     def __get__(self, instance: object, owner: type) -> Any:
         if instance is None:
             return self
-        raise NotInMuJoCo(
-            f"Isaac Lab's attribute '{self.name}' does not exist in MuJoCo: {self.why}", where=type(instance).__name__
-        )
+        message = f"Isaac Lab's attribute '{self.name}' does not exist in MuJoCo: {self.why}"
+        raise NotInMuJoCo(message, where=type(instance).__name__)
 
 
 def declare_unsupported(reasons: Mapping[str, str]) -> Callable[[_Class], _Class]:

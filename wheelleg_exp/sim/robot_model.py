@@ -116,9 +116,8 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
         spec = mujoco.MjSpec.from_file(str(mjcf))
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise AssetError(
-            f"MuJoCo cannot read the robot file: {reason}", key=str(mjcf), expected="an MJCF file"
-        ) from error
+        message = f"MuJoCo cannot read the robot file: {reason}"
+        raise AssetError(message, key=str(mjcf), expected="an MJCF file") from error
     for element in [*spec.actuators, *spec.keys, *spec.sensors]:
         spec.delete(element)
     roots = [body for body in spec.worldbody.bodies if body.joints or body.bodies]

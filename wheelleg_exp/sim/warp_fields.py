@@ -72,9 +72,8 @@ class ModelFields:
             array: Any = getattr(owner, last, None)
             if not self.may_differ(name):
                 expected = "mujoco, or no event that gives each environment its own value"
-                raise ConfigError(
-                    f"mujoco-warp has only one value of '{name}' for all simulations", key=ENGINE, expected=expected
-                )
+                message = f"mujoco-warp has only one value of '{name}' for all simulations"
+                raise ConfigError(message, key=ENGINE, expected=expected)
             wp = self._wp
             each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
             wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))

@@ -166,9 +166,8 @@ class Settings:
                 try:
                     change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
                 except Unsaveable as error:
-                    raise ConfigError(
-                        f"checkpoints cannot save a term's changed setting, because it {error}", key=self._key
-                    ) from error
+                    message = f"checkpoints cannot save a term's changed setting, because it {error}"
+                    raise ConfigError(message, key=self._key) from error
                 found.setdefault(group, {})[name] = change
         return found
 

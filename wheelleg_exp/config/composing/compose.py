@@ -323,9 +323,8 @@ def _parse(text: str) -> Override:
         raise problem
     override = OverridesParser.create().parse_override(text)
     if override.is_sweep_override():
-        raise ConfigError(
-            "the command accepts only one value per key", key=text, where=f"override {text}", expected="one value"
-        )
+        message = "the command accepts only one value per key"
+        raise ConfigError(message, key=text, where=f"override {text}", expected="one value")
     return override
 
 

@@ -152,9 +152,8 @@ class Repository(CachingConfigRepository):
                 if wrong:
                     key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
                     expected = "one '# @package some.path' as the first line of the file"
-                    raise ConfigError(
-                        "the file's '# @package' line has no effect", key=key, where=where, expected=expected
-                    )
+                    message = "the file's '# @package' line has no effect"
+                    raise ConfigError(message, key=key, where=where, expected=expected)
                 content = OmegaConf.to_container(result.config, resolve=False)
                 # Copy each file's content, because Hydra changes the config objects while it composes the config.
                 self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
@@ -182,9 +181,8 @@ class Repository(CachingConfigRepository):
         content = yaml.load(text, Loader=_yaml_loader())
         if content is not None and not isinstance(content, (dict, str)):
             where, expected = show_file(file, 1), "'key: value' lines"
-            raise ConfigError(
-                "the config file does not contain a mapping", key=config_path, where=where, expected=expected
-            )
+            message = "the config file does not contain a mapping"
+            raise ConfigError(message, key=config_path, where=where, expected=expected)
         name = ConfigSource._normalize_file_name(config_path)
         source = next(s for s in self.get_sources() if s.scheme() == "file" and Path(s.path) / name == file)
         config, header = OmegaConf.create(content or {}), ConfigSource._get_header_dict(text[:512])

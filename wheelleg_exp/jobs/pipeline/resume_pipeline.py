@@ -75,9 +75,8 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
         expected = "--config-dir with the place where that folder is now, if it is yours"
-        raise ConfigError(
-            f"the pipeline needs the config folder {folder}, which {why}", key=str(index.path), expected=expected
-        )
+        message = f"the pipeline needs the config folder {folder}, which {why}"
+        raise ConfigError(message, key=str(index.path), expected=expected)
     return folders
 
 
@@ -94,13 +93,11 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     name = change.keys[2] if len(change.keys) > 2 and change.keys[1] == "phases" else None
     phase = next((phase for phase in index.phases if phase["name"] == name), None)
     if phase is None:
-        raise ConfigError(
-            "a resume can change only settings in pipeline.phases", key=change.key, expected="settings of its phases"
-        )
+        message = "a resume can change only settings in pipeline.phases"
+        raise ConfigError(message, key=change.key, expected="settings of its phases")
     if phase["status"] == "passed":
-        raise ConfigError(
-            f"phase '{name}' has already passed its evaluation", key=change.key, expected="settings of a later phase"
-        )
+        message = f"phase '{name}' has already passed its evaluation"
+        raise ConfigError(message, key=change.key, expected="settings of a later phase")
     if phase["run"] is not None and change.keys[3] not in _CHANGEABLE_LATER:
         expected = f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline"
         raise ConfigError(f"phase '{name}' has started", key=change.key, expected=expected)

@@ -78,9 +78,8 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     for path in (path for folder in folders for path in sorted(folder.rglob("*"))):
         name = path.relative_to(run.path).as_posix()
         if name not in recorded and not path.is_dir():
-            raise RunDirectoryError(
-                f"the run's manifest lacks the file {name}", where=str(path), expected="the run's own files"
-            )
+            message = f"the run's manifest lacks the file {name}"
+            raise RunDirectoryError(message, where=str(path), expected="the run's own files")
 
 
 KIND = "replay"

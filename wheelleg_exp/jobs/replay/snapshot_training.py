@@ -54,9 +54,8 @@ class Request:
         """Parse a request from one line of JSON; ignore the keys that this version of the package does not know."""
         found = json.loads(line)
         if found.get("protocol") != PROTOCOL:
-            raise WheellegError(
-                f"unknown protocol version {found.get('protocol')!r} in a replay request", expected=str(PROTOCOL)
-            )
+            message = f"unknown protocol version {found.get('protocol')!r} in a replay request"
+            raise WheellegError(message, expected=str(PROTOCOL))
         return cls(**{field.name: found[field.name] for field in fields(cls)})
 
 

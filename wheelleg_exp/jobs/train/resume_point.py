@@ -60,9 +60,8 @@ def find_point(run: RunDirectory) -> ResumePoint:
         try:
             state = checkpoint.load(path, finite=False)  # Accept a checkpoint with NaN; the training detects NaN.
             if state["iter"] != checkpoint_iteration(path):
-                raise RunDirectoryError(
-                    f"the checkpoint's iteration {state['iter']} differs from its file name", key=str(path)
-                )
+                message = f"the checkpoint's iteration {state['iter']} differs from its file name"
+                raise RunDirectoryError(message, key=str(path))
         except RunDirectoryError as error:
             damaged[path] = error.message
             continue

@@ -130,9 +130,8 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
         if "target" not in patches:
             expected = "flat patches 'target' in env.scene.terrain"
             expected += f", which has {', '.join(patches)}" if patches else ""
-            raise ConfigError(
-                "the terrain has no flat patches named 'target', which this command needs", expected=expected
-            )
+            message = "the terrain has no flat patches named 'target', which this command needs"
+            raise ConfigError(message, expected=expected)
         self._patches = (patches["target"],)
 
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:

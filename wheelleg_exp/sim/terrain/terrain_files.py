@@ -124,9 +124,8 @@ class HeightField(_FromFile):
         try:
             mapped = np.load(file, mmap_mode="r", allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
-            raise ConfigError(
-                f"the file '{self.file}' is not a NumPy array", key=self._key, expected="a .npy file"
-            ) from error
+            message = f"the file '{self.file}' is not a NumPy array"
+            raise ConfigError(message, key=self._key, expected="a .npy file") from error
         return self._scaled(mapped)
 
     def _png(self, file: Path) -> Read:
@@ -135,9 +134,8 @@ class HeightField(_FromFile):
         try:
             picture = imread(file)
         except Exception as error:  # Matplotlib raises errors of many types for a damaged image file.
-            raise ConfigError(
-                f"the file '{self.file}' is not a readable image", key=self._key, expected="a .png file"
-            ) from error
+            message = f"the file '{self.file}' is not a readable image"
+            raise ConfigError(message, key=self._key, expected="a .png file") from error
         return self._scaled((picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T)
 
     def _scaled(self, values: npt.NDArray[Any]) -> Read:
@@ -193,9 +191,8 @@ class Mesh(_FromFile):
             model = spec.compile()
         except ValueError as error:
             reason = " ".join(str(error).split())
-            raise ConfigError(
-                f"the file '{self.file}' is not a readable mesh: {reason}", key=self._key, expected="a mesh"
-            ) from error
+            message = f"the file '{self.file}' is not a readable mesh: {reason}"
+            raise ConfigError(message, key=self._key, expected="a mesh") from error
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, model.geom_quat[0])
         corners = model.mesh_vert @ turned.reshape(3, 3).T + model.geom_pos[0]
