@@ -29,6 +29,7 @@ def test_every_stock_task_gets_the_errors_of_its_sensors_drives_and_body(task):
     env = compose([f"task={task}", "realism=full"]).config["env"]
     made = with_realism(env)
     assert list(made["events"])[-len(env["realism"]["events"]) :] == env["realism"]["events"]
+    assert ("push_robot" in env["events"], "push_robot" in made["events"]) == (True, False)
     for name, node in made["observations"]["policy"]["terms"].items():
         is_sensor = name in ("base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel_rel")
         assert (node.get("noise") is not None, node.get("delay")) == (is_sensor, [0, 1] if is_sensor else None)
@@ -81,6 +82,7 @@ def test_a_delay_continues_from_its_saved_share_of_the_range():
     ("override", "place"),
     [
         ("env.realism.events=[imu_erors]", "env.realism.events: there is no 'imu_erors'.*did you mean 'imu_errors'"),
+        ("env.realism.replaces=[push_robt]", "there is no 'push_robt'.*did you mean 'push_robot'"),
         ("env.realism.groups=[polcy]", "env.realism.groups: there is no 'polcy'.*did you mean 'policy'"),
         ("+env.realism.sensors.base_ang_vell={}", "there is no 'base_ang_vell'.*did you mean 'base_ang_vel'"),
     ],

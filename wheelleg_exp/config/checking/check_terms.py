@@ -172,13 +172,14 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return an error for each name in ``env.realism`` that is similar to a term, group, or function, but is none."""
+    """Find misspelled names of terms, observation groups, and functions in ``env.realism``."""
     realism = at(config, "env.realism")
     if not isinstance(realism, Mapping):
         return []
     targets = [str(node.get(binding.TARGET)) for _, _, node in term_nodes(config) if isinstance(node, Mapping)]
     functions = {*vars(import_module("wheelleg_exp.mdp.observations")), *(name.rpartition(".")[2] for name in targets)}
-    known = {"events": section_at(config, "env.events"), "curriculum": section_at(config, "env.curriculum")}
+    events = section_at(config, "env.events")
+    known = {"events": events, "replaces": events, "curriculum": section_at(config, "env.curriculum")}
     known |= {"groups": section_at(config, "env.observations"), "sensors": dict.fromkeys(functions)}
     return [
         ConfigError(f"there is no '{name}'", key=f"env.realism.{key}", expected="an existing name", nearest=nearest)
