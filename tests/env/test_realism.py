@@ -68,7 +68,7 @@ def test_a_delay_continues_from_its_saved_share_of_the_range():
         return DelayBuffer(torch.zeros(50, 1), (0, 4), torch.Generator().manual_seed(0), jitter=4)
 
     one, other = buffer(), buffer()
-    one.share = 0.25
+    one.share = torch.full((50,), 0.25)
     other.load_state_dict(one.state_dict())
     for made in (one, other):
         made.reset(torch.arange(50))
@@ -88,7 +88,7 @@ def test_a_delay_continues_from_its_saved_share_of_the_range():
     ],
 )
 def test_a_misspelled_name_in_a_variant_is_a_mistake_and_a_removed_event_is_not(override, place):
-    assert find_mistakes(["realism=full", "~env.events.kicks", "~env.curriculum.kicks_harder"])[1] == []
+    assert find_mistakes(["realism=full", "~env.events.kicks", "~env.curriculum.action_delay_levels"])[1] == []
     (error,) = find_mistakes(["realism=full", override])[1]
     assert re.search(place, str(error))
 
@@ -121,6 +121,16 @@ def test_a_floor_slope_tilts_gravity_and_the_imu_measures_the_slope(make_env):
     torch.testing.assert_close(-gravity[:, 2] / 9.81, torch.full((4,), math.cos(0.2)))
     assert len(gravity[:, 0].unique()) == 4
     torch.testing.assert_close(readings(env, "projected_gravity"), gravity / 9.81)
+
+
+def test_a_kick_is_proportional_to_the_level_of_the_robot(make_env):
+    kick = event("push_by_adding_velocity", mode="kick", velocity_range={"x": [2.0, 2.0]}, curriculum_name="levels")
+    levels = {"_target_": "wheelleg_exp.mdp.curriculums.action_delay_levels", "num_episodes": 2}
+    env = make_env(events={"kick": kick}, curriculum={"levels": levels})
+    env.reset()
+    env.curriculum_manager.get_term_cfg("levels").func.level[:] = torch.tensor([0.0, 0.25, 0.5, 1.0])
+    env.apply_event("kick", torch.tensor([0, 1, 3]))
+    assert env.scene.robot.data.root_vel_w[:, 0].tolist() == pytest.approx([0.0, 0.5, 0.0, 2.0], abs=1e-6)
 
 
 def test_effort_limits_are_factors_on_the_configs_limits(make_env):

@@ -10,7 +10,6 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.train.run_training import StuckCurricula
-from wheelleg_exp.mdp import schedules
 from wheelleg_exp.mdp.curriculums import action_delay_levels, command_levels_by_skill, terrain_levels_by_distance
 from wheelleg_exp.mdp.terminations import terrain_tile_left
 from wheelleg_exp.state import made
@@ -260,18 +259,19 @@ def test_a_tile_is_left_beyond_its_edge_along_either_axis(world):
     assert terrain_tile_left(world).tolist() == [False] * N
 
 
-def test_delays_and_kicks_grow_while_robots_survive_and_shrink_while_they_fall():
+def test_a_robot_that_survives_gets_longer_delays_and_harder_kicks():
     world = World()
     delay = SimpleNamespace(share=None)
     world.action_manager = SimpleNamespace(delays={"legs": delay})
-    levels = action_delay_levels(world, num_steps=4 * LONGEST, survival=0.75)
-    world.curriculum_manager = SimpleNamespace(get_term_cfg=lambda _: SimpleNamespace(func=levels))
-    shares = [world.episode(levels) for _ in range(6)]
-    assert shares == approx([0.25, 0.5, 0.75, 1.0, 1.0, 1.0])
-    assert world.episode(levels, steps=5) == approx(1.0 - 5 / 40)
-    assert delay.share == 1.0
-    assert schedules.by_level(world, ALL, None, [0.0, -1.0], [8.0, -9.0], "c") == approx([6.0, -7.0])
-    levels.level = 0.2
-    world.episode(levels, steps=4)
-    assert delay.share == approx(0.2)
-    assert schedules.by_level(world, ALL, None, [0.0, -1.0], [8.0, -9.0], "c") == [0.0, -1.0]
+    levels = action_delay_levels(world, num_episodes=4)
+    world.termination_manager.time_outs = torch.tensor([True, True, False, True])
+    means = [float(world.episode(levels)) for _ in range(5)]
+    assert means == approx([0.1875, 0.375, 0.5625, 0.75, 0.75])
+    world.termination_manager.time_outs[:2] = False
+    world.episode_length_buf[:] = torch.tensor([0, 4, 5, 6])  # Of 10 control steps.
+    levels(world, torch.tensor([0, 1, 2]))
+    assert levels.level.tolist() == approx([0.75, 0.85, 0.0, 1.0])
+    levels.level[0] = 0.375
+    world.episode_length_buf[0] = 5
+    levels(world, torch.tensor([0]))
+    assert delay.share.tolist() == approx([0.5, 1.0, 0.0, 1.0])

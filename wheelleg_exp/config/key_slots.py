@@ -41,6 +41,7 @@ _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
     ("curriculum", "term_name"): "rewards",
+    ("events", "curriculum_name"): "curriculum",
     ("curriculum", "reward_term_name"): "rewards",
 }
 

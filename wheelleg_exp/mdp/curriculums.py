@@ -28,31 +28,31 @@ def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight
 
 
 class action_delay_levels(TermBase):
-    """Increase the delays of all actions while robots survive, else decrease them; return the level. Not in Isaac Lab.
+    """Raise a robot's level after an episode that it survives, lower it after a fall; return the mean level.
 
-    At level 0, each action has its shortest delay; from level 0.5 on, its full range of delays. A robot that cannot
-    stand yet learns slowly if its actions are late. ``schedules.by_level`` changes another setting from level 0.5 on.
+    At level 0, a robot's actions have their shortest delays; from level 0.5 on, the full ranges of their delays. A
+    robot that cannot stand yet learns slowly if its actions are late. ``push_by_adding_velocity`` can also depend on
+    the level. Not in Isaac Lab.
 
     Args:
-        num_steps: control steps from level 0 to level 1.
-        survival: the level rises while the mean length of the last ended episodes, as many as there are environments,
-            is at least this share of the longest episode.
+        num_episodes: successive episodes that a robot must survive to get from level 0 to level 1. A fall at the start
+            of an episode lowers the level as much as a survived episode raises it, and a later fall lowers it less.
+
+    Attributes:
+        level: each robot's level, from 0 to 1, (N,).
     """
 
-    def __init__(self, env: Env, num_steps: Count, survival: Share) -> None:
-        del env
-        self._num_steps, self._least = num_steps, survival
-        self.level, self._length, self._step = 0.0, 0.0, 0
+    def __init__(self, env: Env, num_episodes: Count) -> None:
+        self._num_episodes = num_episodes
+        self.level = torch.zeros(env.num_envs, device=env.device)
 
-    def __call__(self, env: Env, env_ids: torch.Tensor) -> float:
-        length = float(env.episode_length_buf[env_ids].float().mean()) / env.max_episode_length
-        self._length += (length - self._length) * len(env_ids) / env.num_envs
-        change = (env.common_step_counter - self._step) / self._num_steps
-        self.level = min(max(self.level + (change if self._length >= self._least else -change), 0.0), 1.0)
-        self._step = env.common_step_counter
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> torch.Tensor:
+        share = env.episode_length_buf[env_ids] / env.max_episode_length
+        change = torch.where(env.termination_manager.time_outs[env_ids], 1.0, share - 1.0)
+        self.level[env_ids] = (self.level[env_ids] + change / self._num_episodes).clamp(0.0, 1.0)
         for delay in env.action_manager.delays.values():
-            delay.share = min(2.0 * self.level, 1.0)
-        return self.level
+            delay.share = (2.0 * self.level).clamp(max=1.0)
+        return self.level.mean()
 
 
 _NO_CHANGE = object()

@@ -32,13 +32,6 @@ def linear(
     return _between(start, end, min(max(past / num_steps, 0.0), 1.0) if num_steps else float(past > 0))
 
 
-def by_level(env: Env, env_ids: torch.Tensor, old_value: Any, start: Any, end: Any, term_name: str) -> Any:
-    """Interpolate a setting from ``start`` at level 0.5 of the curriculum ``term_name`` to ``end`` at level 1."""
-    del env_ids, old_value
-    term: Any = env.curriculum_manager.get_term_cfg(term_name)
-    return _between(start, end, max(2.0 * term.func.level - 1.0, 0.0))
-
-
 def _between(start: Any, end: Any, share: float) -> Any:
     if isinstance(start, Mapping):
         return {key: _between(value, end[key], share) for key, value in start.items()}

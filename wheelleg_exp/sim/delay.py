@@ -23,11 +23,12 @@ class DelayBuffer:
 
     Attributes:
         lag: the lag of each environment, in calls of ``push``, (N,).
-        share: share of the range ``lags`` and of ``jitter`` that is used; a curriculum can increase it from 0 to 1.
+        share: share of the range ``lags`` and of ``jitter`` that each environment uses, from 0 to 1, (N,).
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator, jitter: int = 0) -> None:
-        self._range, self._generator, self._jitter, self.share = lags, generator, jitter, 1.0
+        self._range, self._generator, self._jitter = lags, generator, jitter
+        self.share = torch.ones(len(sample), device=sample.device)
         self._samples = torch.zeros(len(sample), lags[1] + jitter + 1, *sample.shape[1:], device=sample.device)
         self._rows = torch.arange(len(sample), device=sample.device)
         self._is_first = torch.ones(len(sample), dtype=torch.bool, device=sample.device)
@@ -40,9 +41,9 @@ class DelayBuffer:
         self._samples = self._pushed(sample)
         self._is_first.fill_(False)
         lag = self.lag
-        if jitter := round(self.share * self._jitter):
-            extra = torch.randint(0, jitter + 1, lag.shape, generator=self._generator, device=lag.device)
-            lag = torch.minimum(lag + extra, self._last_lag + 1)
+        if self._jitter:
+            extra = torch.randint(0, self._jitter + 1, lag.shape, generator=self._generator, device=lag.device)
+            lag = torch.minimum(lag + (self.share * extra).round().long(), self._last_lag + 1)
         self._last_lag.copy_(lag)
         return self._read(self._samples)
 
@@ -52,16 +53,16 @@ class DelayBuffer:
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Drop the stored samples of the environments ``env_ids``, and draw new lags for them."""
-        low, high = self._range[0], self._range[0] + round(self.share * (self._range[1] - self._range[0]))
-        size, device = (len(env_ids),), self.lag.device
-        self.lag[env_ids] = torch.randint(low, high + 1, size, generator=self._generator, device=device)
+        low, high, size = *self._range, (len(env_ids),)
+        drawn = torch.randint(0, high - low + 1, size, generator=self._generator, device=self.lag.device)
+        self.lag[env_ids] = low + (self.share[env_ids] * drawn).round().long()
         self._last_lag[env_ids] = self.lag[env_ids]
         fill_rows(self._is_first, env_ids, True)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the stored samples and the lags of all environments."""
         state = {"samples": self._samples, "is_first": self._is_first, "lag": self.lag, "last_lag": self._last_lag}
-        return {name: value.clone() for name, value in state.items()} | {"share": self.share}
+        return {name: value.clone() for name, value in (state | {"share": self.share}).items()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -69,7 +70,7 @@ class DelayBuffer:
         self._is_first.copy_(saved["is_first"])
         self.lag.copy_(saved["lag"])
         self._last_lag.copy_(saved.get("last_lag", saved["lag"]))  # Older checkpoints have no jitter and no share.
-        self.share = saved.get("share", 1.0)
+        self.share = saved.get("share", torch.ones_like(self.share)).clone()
 
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
         newest = sample.unsqueeze(1)

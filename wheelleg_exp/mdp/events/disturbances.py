@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -56,6 +56,7 @@ class push_by_adding_velocity(TermBase):
     Args:
         velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
         frame: ``world``, as in Isaac Lab; or ``yaw``, level axes that turn with the robot: x forwards, y to the left.
+        curriculum_name: a curriculum term with a level for each robot, which multiplies the robot's velocity changes.
     """
 
     adds = True
@@ -68,7 +69,9 @@ class push_by_adding_velocity(TermBase):
         generator: torch.Generator,
         asset_cfg: SceneEntityCfg = _ROBOT,
         frame: Literal["world", "yaw"] = "world",
+        curriculum_name: str | None = None,
     ) -> None:
+        self._curriculum = curriculum_name
         self._low, self._high = bounds(velocity_range, POSE, "velocity_range", env.device)
         self._generator = generator
         self._robot = env.scene[asset_cfg.name]
@@ -77,6 +80,9 @@ class push_by_adding_velocity(TermBase):
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids = all_ids(env, env_ids)
         velocity = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
+        if self._curriculum is not None:
+            curriculum: Any = env.curriculum_manager.get_term_cfg(self._curriculum).func
+            velocity *= curriculum.level[ids].unsqueeze(1)
         data = self._robot.data
         if self._turns:
             yaw = data.heading_w[ids]
