@@ -261,7 +261,7 @@ def test_a_tile_is_left_beyond_its_edge_along_either_axis(world):
 
 def test_a_robot_that_survives_gets_longer_delays_and_harder_kicks():
     world = World()
-    delay = SimpleNamespace(share=None)
+    delay = SimpleNamespace(share=torch.zeros(N))
     world.action_manager = SimpleNamespace(delays={"legs": delay})
     levels = action_delay_levels(world, num_episodes=4)
     world.termination_manager.time_outs = torch.tensor([True, True, False, True])

@@ -23,7 +23,8 @@ class DelayBuffer:
 
     Attributes:
         lag: the lag of each environment, in calls of ``push``, (N,).
-        share: share of the range ``lags`` and of ``jitter`` that each environment uses, from 0 to 1, (N,).
+        share: share of the range ``lags`` and of ``jitter`` that each environment uses, from 0 to 1, (N,). A CUDA graph
+            reads this tensor, so change its values in place.
     """
 
     def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator, jitter: int = 0) -> None:
@@ -70,7 +71,7 @@ class DelayBuffer:
         self._is_first.copy_(saved["is_first"])
         self.lag.copy_(saved["lag"])
         self._last_lag.copy_(saved.get("last_lag", saved["lag"]))  # Older checkpoints have no jitter and no share.
-        self.share = saved.get("share", torch.ones_like(self.share)).clone()
+        self.share[:] = saved.get("share", 1.0)
 
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
         newest = sample.unsqueeze(1)
