@@ -187,6 +187,16 @@ def test_a_reset_has_a_recording_for_each_number_of_environments_that_occurs_oft
     assert sum(resets(env)._counts.values()) == 10
 
 
+def test_steps_and_resets_with_realism_are_captured():
+    plain, env = pair("walk", "realism=full")
+    for _ in range(4):
+        for each in (plain, env):
+            each._reset_idx(torch.arange(9))
+    assert counts(resets(env)) == [9]
+    assert_equal_steps(plain, env, random_actions(plain, 20))
+    assert not any(part.fails for part in env.graph_capture.parts.values())
+
+
 def test_recordings_are_found_by_a_comparison_of_places_alone(monkeypatch):
     env = make_env("walk", captured=True)
     actions = random_actions(env, 80)

@@ -429,8 +429,7 @@ class randomize_floor_slope(TermBase):
         slope = draw(self._range[0], self._range[1], (len(ids),), "uniform", self._generator)
         turn = draw(-math.pi, math.pi, (len(ids),), "uniform", self._generator)
         down = torch.stack((slope.sin() * turn.cos(), slope.sin() * turn.sin(), -slope.cos()), dim=1)
-        size = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device).norm()
-        sim.expand("opt.gravity")[ids] = (size * down).to(sim.dtype)
+        sim.expand("opt.gravity")[ids] = math.hypot(*env.scene.model.opt.gravity) * down.to(sim.dtype)
         sim.set_const()
         self._robot.write_gravity_direction(down, ids)
 
