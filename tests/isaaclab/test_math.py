@@ -143,3 +143,34 @@ def test_random_draws_have_the_moments_of_their_distributions():
     assert m.default_orientation(2, "cpu").tolist() == 2 * [[1.0, 0.0, 0.0, 0.0]]
     drawn = m.sample_triangle(-1.0, 1.0, 20000, "cpu")
     assert float(drawn.abs().mean()) == pytest.approx(2 / 3, abs=0.01)
+
+
+def scripted(q: torch.Tensor, p: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    position, turn = m.compute_pose_error(v, q, v, p)
+    moved = m.combine_frame_transforms(v, m.quat_mul(q, p), position + turn)[0] + m.wrap_to_pi(v)
+    moved = m.transform_points(moved, quat=m.quat_box_plus(q[:1], v[:1]))
+    angles = torch.stack(m.euler_xyz_from_quat(q, wrap_to_2pi=True), dim=1)
+    return moved, angles, m.quat_slerp(q[0], p[0], 0.3) + m.default_orientation(1, device="cpu")
+
+
+def test_scripted_functions_call_them_with_the_same_results():
+    for by_script, as_usual in zip(
+        torch.jit.script(scripted)(QUATS, OTHERS, VECTORS), scripted(QUATS, OTHERS, VECTORS), strict=True
+    ):
+        assert torch.equal(by_script, as_usual)
+
+
+# The functions that Isaac Lab 2.3.2 compiles with TorchScript
+SCRIPTED = """
+scale_transform unscale_transform saturate normalize wrap_to_pi copysign quat_unique matrix_from_quat
+quat_conjugate quat_inv quat_from_euler_xyz quat_from_matrix euler_xyz_from_quat axis_angle_from_quat
+quat_from_angle_axis quat_mul yaw_quat quat_box_minus quat_box_plus quat_apply quat_apply_inverse
+quat_apply_yaw quat_error_magnitude skew_symmetric_matrix combine_frame_transforms subtract_frame_transforms
+compute_pose_error apply_delta_pose transform_points orthogonalize_perspective_depth unproject_depth
+project_points default_orientation random_orientation random_yaw_orientation
+"""
+
+
+@pytest.mark.parametrize("name", SCRIPTED.split())
+def test_torch_script_compiles(name):
+    assert torch.jit.script(getattr(m, name))

@@ -2,6 +2,7 @@
 
 Quaternions are (w, x, y, z), angles are radians. Tensor arguments can have any leading dimensions, which are broadcast.
 Random functions use torch's global generator, which draws from a user-defined term's random stream while the term runs.
+TorchScript can compile the functions that it can compile in Isaac Lab.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ SMALL = 1e-6  # Below ``SMALL`` (rad), formulas do not divide by the angle, but 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Return cross products of vectors, whose leading dimensions are broadcast."""
-    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+    first, second = torch.broadcast_tensors(a, b)
+    return torch.linalg.cross(first, second)
 
 
 def normalize(x: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
@@ -41,8 +43,9 @@ def quat_inv(q: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
 def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
     """Return the Hamilton product: the rotation ``q2`` followed by ``q1``."""
     if q1.shape != q2.shape:
-        raise ValueError(f"quaternions of shapes {tuple(q1.shape)} and {tuple(q2.shape)} cannot be multiplied")
-    return rotation.quat_mul(q1.reshape(-1, 4), q2.reshape(-1, 4)).view(q1.shape)
+        raise ValueError(f"quaternions of shapes {list(q1.shape)} and {list(q2.shape)} cannot be multiplied")
+    w1, v1, w2, v2 = q1[..., :1], q1[..., 1:], q2[..., :1], q2[..., 1:]
+    return torch.cat((w1 * w2 - (v1 * v2).sum(dim=-1, keepdim=True), w1 * v2 + w2 * v1 + cross(v1, v2)), dim=-1)
 
 
 def quat_unique(q: torch.Tensor) -> torch.Tensor:
@@ -133,7 +136,11 @@ def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Return the quaternions (..., 4) of Rz(yaw) Ry(pitch) Rx(roll) for angles (...)."""
-    return rotation.quat_from_euler_xyz(*(angle.reshape(-1) for angle in (roll, pitch, yaw))).view(*roll.shape, 4)
+    zero = torch.zeros_like(roll)
+    about_x = torch.stack(((roll / 2.0).cos(), (roll / 2.0).sin(), zero, zero), dim=-1)
+    about_y = torch.stack(((pitch / 2.0).cos(), zero, (pitch / 2.0).sin(), zero), dim=-1)
+    about_z = torch.stack(((yaw / 2.0).cos(), zero, zero, (yaw / 2.0).sin()), dim=-1)
+    return quat_mul(about_z, quat_mul(about_y, about_x))
 
 
 def euler_xyz_from_quat(
@@ -151,7 +158,8 @@ def euler_xyz_from_quat(
 
 def matrix_from_quat(quaternions: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (..., 3, 3) of quaternions, which can have any length except 0."""
-    return rotation.quat_to_matrix(normalize(quaternions).reshape(-1, 4)).view(*quaternions.shape[:-1], 3, 3)
+    axes = torch.eye(3, dtype=quaternions.dtype, device=quaternions.device)
+    return quat_apply(normalize(quaternions).unsqueeze(-2), axes).transpose(-1, -2)
 
 
 def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
@@ -166,7 +174,7 @@ def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
     y_row, z_row = (y, xy, 1.0 - xx + yy - zz, yz), (z, xz, yz, 1.0 - xx - yy + zz)
     rows = torch.stack([torch.stack(row, dim=-1) for row in (w_row, x_row, y_row, z_row)], dim=-2)
     largest = rows.diagonal(dim1=-2, dim2=-1).argmax(dim=-1)
-    row = rows.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4)).squeeze(-2)
+    row = torch.take_along_dim(rows, largest[..., None, None], dim=-2).squeeze(-2)
     return normalize(row)
 
 
@@ -213,11 +221,11 @@ def compute_pose_error(
     q01: torch.Tensor,
     t02: torch.Tensor,
     q02: torch.Tensor,
-    rot_error_type: Literal["quat", "axis_angle"] = "axis_angle",
+    rot_error_type: str = "axis_angle",
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the position and the rotation from frame 1 to frame 2, as a quaternion or a rotation vector."""
     if rot_error_type not in ("quat", "axis_angle"):
-        raise ValueError(f"rot_error_type is {rot_error_type!r}, expected 'quat' or 'axis_angle'")
+        raise ValueError(f"rot_error_type is '{rot_error_type}', expected 'quat' or 'axis_angle'")
     turn = quat_mul(q02, quat_inv(q01))
     return t02 - t01, turn if rot_error_type == "quat" else axis_angle_from_quat(turn)
 
@@ -299,9 +307,9 @@ def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tenso
     """
     pictures = _pictures(depth)
     matrices = intrinsics.reshape(-1, 3, 3)
-    v, u = (part.unsqueeze(0) for part in _pixels(pictures))
-    f_x, f_y, c_x, c_y = (matrices[:, i, j].view(-1, 1, 1) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    cosine = torch.rsqrt(1.0 + ((u - c_x) / f_x).square() + ((v - c_y) / f_y).square())
+    v, u = _pixels(pictures)
+    x, y = matrices[:, 0, :, None, None], matrices[:, 1, :, None, None]
+    cosine = torch.rsqrt(1.0 + ((u - x[:, 2]) / x[:, 0]).square() + ((v - y[:, 2]) / y[:, 1]).square())
     return (pictures * cosine).reshape(depth.shape)
 
 
@@ -333,9 +341,10 @@ def _pictures(depth: torch.Tensor) -> torch.Tensor:
     return flat.unsqueeze(0) if flat.dim() == 2 else flat
 
 
-def _pixels(pictures: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    counts = (torch.arange(count, device=pictures.device, dtype=pictures.dtype) for count in pictures.shape[1:])
-    return torch.meshgrid(*counts, indexing="ij")
+def _pixels(pictures: torch.Tensor) -> list[torch.Tensor]:
+    rows = torch.arange(pictures.shape[1], device=pictures.device, dtype=pictures.dtype)
+    columns = torch.arange(pictures.shape[2], device=pictures.device, dtype=pictures.dtype)
+    return list(torch.meshgrid(rows, columns, indexing="ij"))
 
 
 Size = int | tuple[int, ...]
@@ -376,20 +385,20 @@ def sample_cylinder(radius: float, h_range: tuple[float, float], size: Size, dev
     return torch.stack((radius * angle.cos(), radius * angle.sin(), height), dim=-1)
 
 
-def default_orientation(num: int, device: Any) -> torch.Tensor:
+def default_orientation(num: int, device: str) -> torch.Tensor:
     """Return a tensor (num, 4) of identity quaternions (1, 0, 0, 0)."""
     return torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(num, 1)
 
 
-def random_orientation(num: int, device: Any) -> torch.Tensor:
+def random_orientation(num: int, device: str) -> torch.Tensor:
     """Return rotations uniform on SO(3), (num, 4): normalised 4-d Gaussians (Marsaglia 1972)."""
     return torch.nn.functional.normalize(torch.randn(num, 4, device=device), dim=-1)
 
 
-def random_yaw_orientation(num: int, device: Any) -> torch.Tensor:
+def random_yaw_orientation(num: int, device: str) -> torch.Tensor:
     """Return quaternions (num, 4) of rotations about z by uniform random angles."""
     yaw = 2.0 * torch.pi * torch.rand(num, device=device)
-    return rotation.quat_from_euler_xyz(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw)
+    return quat_from_euler_xyz(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw)
 
 
 def scale_transform(x: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor) -> torch.Tensor:
