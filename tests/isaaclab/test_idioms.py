@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.isaaclab.managers import SceneEntityCfg
+from wheelleg_exp.isaaclab.managers import ManagerTermBase, SceneEntityCfg
 from wheelleg_exp.isaaclab.utils import string
+from wheelleg_exp.terms.term_binding import takes_cfg
 
 N, J = 4, 4
 MDP = "wheelleg_exp.mdp."
@@ -51,6 +52,11 @@ def resolved(env, **names):
     return cfg
 
 
+class EnvFirst(ManagerTermBase):
+    def __init__(self, env, cfg):
+        super().__init__(cfg, env)
+
+
 def shape(*of):
     return lambda found: tuple(found.shape) == of
 
@@ -73,13 +79,19 @@ IDIOMS = [
     ("env.sim.get_physics_dt", lambda e: e.sim.get_physics_dt(), 0.01),
     ("env.sim.cfg.dt", lambda e: e.sim.cfg.dt, 0.01),
     ("env.sim.device", lambda e: torch.zeros(1, device=e.sim.device).item(), 0.0),
+    ("env.num_actions", lambda e: e.num_actions, 2),
     # the scene
+    ("scene.env_regex_ns", lambda e: e.scene.env_regex_ns, "/World/envs/env_.*"),
     ("scene.keys", lambda e: list(e.scene.keys()), ["robot", "terrain", "contact"]),
     ("scene.articulations", lambda e: e.scene.articulations["robot"] is e.scene["robot"], True),
     ("scene.rigid_objects", lambda e: len(e.scene.rigid_objects), 0),
     ("scene.cfg.terrain", lambda e: e.scene.cfg.terrain.terrain_type, "plane"),
+    ("hasattr terrain_levels", lambda e: hasattr(e.scene.terrain, "terrain_levels"), False),
     ("sensor.cfg", lambda e: e.scene.sensors["contact"].cfg.track_air_time, True),
+    ("sensor.num_bodies", lambda e: e.scene.sensors["contact"].num_bodies, lambda n: n > 0),
     # the managers
+    ("manager _term_names", lambda e: e.reward_manager._term_names, ["alive", "heavy"]),
+    ("a term by keyword", lambda e: takes_cfg(EnvFirst), True),
     ("command_manager.get_term", lambda e: e.command_manager.get_term("base_velocity").time_left, shape(N)),
     ("command.cfg.ranges", lambda e: e.command_manager.get_term("base_velocity").cfg.ranges.lin_vel_x, (-0.5, 0.5)),
     ("action_manager.get_term", lambda e: e.action_manager.get_term("hips").raw_actions[0].tolist(), [0.2, 0.2]),
@@ -148,7 +160,7 @@ def test_ranges_of_commands_are_set_by_attribute(make_env):
 
 
 def test_there_are_as_many_idioms_as_the_page_states_and_the_config_is_read_only(env):
-    assert len(IDIOMS) == 49
+    assert len(IDIOMS) == 55
     with pytest.raises(ConfigError, match=r"env.rewards.alive.weight: .*config is read-only.*get_term_cfg"):
         env.cfg.rewards.alive.weight = 2.0
     with pytest.raises(AttributeError, match=r"env.rewards.alife: .*did you mean 'alive'"):

@@ -53,6 +53,7 @@ def test_levels_follow_the_way_that_was_made():
     """Tiles have 4 m, and episodes 10 s: robots go up beyond 2 m, and down below half of speed times 10 s."""
     moved = {}
     terrain = {
+        "terrain_origins": (),
         "size": (4.0, 99.0),
         "terrain_levels": T([0, 1, 2, 3, 4]),
         "update_env_origins": lambda ids, up, down: moved.update(ids=ids, up=up.tolist(), down=down.tolist()),

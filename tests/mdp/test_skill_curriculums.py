@@ -35,7 +35,9 @@ class World:
         names = ("root_lin_vel_b", "root_ang_vel_b", "root_lin_vel_w", "root_pos_w")
         self.data = SimpleNamespace(**{name: torch.zeros(N, 3) for name in names}, heading_w=torch.zeros(N))
         self.moved: list = []
-        terrain = SimpleNamespace(terrain_levels=torch.zeros(N), max_terrain_level=10, size=(1.2, 1.2))
+        terrain = SimpleNamespace(
+            terrain_origins=(), terrain_levels=torch.zeros(N), max_terrain_level=10, size=(1.2, 1.2)
+        )
         terrain.update_env_origins = lambda _, up, down: self.moved.append((up.tolist(), down.tolist()))
         self.scene = Scene(robot=SimpleNamespace(data=self.data))
         self.scene.terrain, self.scene.env_origins = terrain, torch.zeros(N, 3)

@@ -162,8 +162,8 @@ def test_episodes_start_over_flat_patches_of_their_tile(make_env):
     rows = torch.arange(2 * 3 * 5 * 3, dtype=torch.float32).view(2, 3, 5, 3)
     env = make_env()
     env.scene.terrain.flat_patches["init_pos"] = rows
-    env.scene.terrain.terrain_levels[:] = torch.tensor([0, 1, 0, 1])
-    env.scene.terrain.terrain_types[:] = torch.tensor([2, 1, 0, 2])
+    env.scene.terrain.terrain_levels = torch.tensor([0, 1, 0, 1])
+    env.scene.terrain.terrain_types = torch.tensor([2, 1, 0, 2])
     term = events.reset_root_state_from_terrain(env, **ranges, generator=torch.Generator().manual_seed(0))
     robot, seen = env.scene.robot, set()
     for _ in range(40):

@@ -13,7 +13,7 @@ from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET
 
 if TYPE_CHECKING:
-    from wheelleg_exp.managers import Env
+    from wheelleg_exp.managers import ActionManager, Env
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
@@ -114,6 +114,7 @@ class IsaacLabAttributes(Kept):
     if TYPE_CHECKING:
         decimation: int
         common_step_counter: int
+        action_manager: ActionManager
         observation_manager: Any
         termination_manager: Any
 
@@ -126,6 +127,11 @@ class IsaacLabAttributes(Kept):
     def sim(self) -> Simulation:
         """The simulation object that manager terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
         return Simulation(self)  # type: ignore[arg-type]
+
+    @property
+    def num_actions(self) -> int:
+        """Number of the actions of an environment."""
+        return self.action_manager.total_action_dim
 
     @property
     def obs_buf(self) -> Any:

@@ -335,6 +335,8 @@ class ManagerBase(OfEnv, Kept):
         """Names of all terms in the order of the config, as a flat list."""
         return list(self._terms)
 
+    _term_names = term_names  # Isaac Lab's terms read this private attribute.
+
     @property
     def bound_terms(self) -> list[Term]:
         """The manager's bound terms, in the order of the config."""

@@ -157,6 +157,8 @@ def terrain_levels_vel(
     full-length episode. On ground without terrain tiles, ``terrain_levels_vel`` has no effect.
     """
     terrain = env.scene.terrain
+    if terrain.terrain_origins is None:
+        return torch.zeros(())
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
     distance = torch.linalg.vector_norm(position - env.scene.env_origins[env_ids, :2], dim=1)
     speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[env_ids, :2], dim=1)
@@ -415,6 +417,8 @@ class terrain_levels_by_distance(TermBase):
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float | torch.Tensor]:
         terrain = env.scene.terrain
+        if terrain.terrain_origins is None:
+            return {}
         length = env.episode_length_buf[env_ids]
         lived = length > 0
         failed = env.termination_manager.terminated[env_ids] & lived

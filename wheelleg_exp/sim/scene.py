@@ -138,6 +138,11 @@ class Scene(Kept):
         return SimpleNamespace(num_envs=self.num_envs, env_spacing=self.options.env_spacing, terrain=self.terrain.cfg)
 
     @property
+    def env_regex_ns(self) -> str:
+        """Isaac Lab's expression for the paths of all environments; there is no USD stage, so it matches nothing."""
+        return "/World/envs/env_.*"
+
+    @property
     def articulations(self) -> dict[str, Robot]:
         """A dictionary that maps the name of the scene's only robot to the robot."""
         return {"robot": self.robot}

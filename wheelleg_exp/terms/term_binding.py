@@ -105,7 +105,7 @@ MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "mi
 # Managers pass ``env``, ``env_ids``, and ``generator`` to terms, so the config of a term cannot set these arguments.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = ["cfg", "env"]  # Constructors of Isaac Lab's terms have the parameters ``cfg`` and ``env``.
+_CFG_ENV = {"cfg", "env"}  # Constructors of Isaac Lab's terms have the parameters ``cfg`` and ``env``.
 
 # ``_MOVED`` maps old ``_target_`` paths, which configs of earlier versions can contain, to the current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
@@ -254,7 +254,7 @@ def resolve_class(name: Any) -> Any:
 
 def takes_cfg(target: Callable[..., Any]) -> bool:
     """Return whether ``target`` is a class with the constructor ``(cfg, env)``, as in Isaac Lab."""
-    return inspect.isclass(target) and list(inspect.signature(target).parameters)[:2] == _CFG_ENV
+    return inspect.isclass(target) and set(list(inspect.signature(target).parameters)[:2]) == _CFG_ENV
 
 
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:

@@ -47,6 +47,11 @@ class SensorBase(Kept):
         return f"env.scene.sensors.{self.name}"
 
     @property
+    def num_bodies(self) -> int:
+        """Number of sensed bodies."""
+        return len(self.body_names)
+
+    @property
     def cfg(self) -> SensorBase:
         """Return the sensor itself, because Isaac Lab's terms read a sensor's settings from ``sensor.cfg``."""
         return self

@@ -223,6 +223,10 @@ def grid_origins(num_envs: int, spacing: float, device: torch.device | None = No
 class Plane(TerrainBase):
     """An infinite plane at height 0 as the ground; ``TerrainBase`` defines the plane's friction and restitution."""
 
+    def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
+        super().place(num_envs, spacing, device, stream)
+        del self.terrain_levels, self.terrain_types  # as in Isaac Lab: terms test whether they exist
+
     def add_to(self, spec: mujoco.MjSpec) -> None:
         look: dict[str, Any] = {"friction": [self.dynamic_friction, 0.005, 0.0001], "rgba": [0.35, 0.38, 0.42, 1]}
         spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], **look)
