@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
+import wheelleg_exp.isaaclab.envs.mdp as mdp
 import wheelleg_exp.isaaclab.utils.math as math_utils
 from wheelleg_exp.isaaclab.assets import Articulation, RigidObject
+from wheelleg_exp.isaaclab.envs.mdp import reset_root_state_uniform  # noqa: F401
 from wheelleg_exp.isaaclab.managers import (
     ActionTerm,
     ActionTermCfg,
@@ -66,6 +68,11 @@ def jolt(
     state[:, 7:10] += torch.empty(len(env_ids), 3, device=env.device).uniform_(-spread, spread)
     asset.write_root_pose_to_sim(state[:, :7], env_ids=env_ids)
     asset.write_root_velocity_to_sim(state[:, 7:], env_ids=env_ids)
+
+
+def scatter(env: ManagerBasedEnv, env_ids: torch.Tensor, spread: float, asset_cfg: SceneEntityCfg):
+    mdp.reset_root_state_uniform(env, env_ids, {"x": (-spread, spread)}, {})
+    mdp.reset_joints_by_offset(env, env_ids, (-spread, spread), (0.0, 0.0), asset_cfg)
 
 
 @configclass

@@ -41,6 +41,26 @@ def lived(env, steps=7):
     return env
 
 
+def test_a_term_calls_stock_events_that_draw_from_the_terms_own_stream(make):
+    def places(seed, **more):
+        scatter = {"_target_": P + "scatter", "mode": "reset", "spread": 0.2, "asset_cfg": HIPS}
+        place = {"_target_": P + "reset_root_state_uniform", "mode": "reset"}
+        place |= {"pose_range": {"y": [0.3, 0.3]}, "velocity_range": {}}
+        env = make(seed, events={"place": place, "scatter": scatter, **more})
+        with no_global_draws():
+            env.reset()
+        data = env.scene.robot.data
+        moved = data.root_pos_w[:, :1] - env.scene.env_origins[:, :1]
+        return torch.cat((moved, data.joint_pos - data.default_joint_pos), dim=1)
+
+    found = places(0)
+    assert 0.05 < found[:, :3].abs().max() <= 0.2
+    assert found[:, 1:3].std() > 0.01
+    assert found[:, 3:].abs().max() < 1e-6
+    assert torch.equal(found, places(0, other={**EVENTS["jolt"], "mode": "interval", "interval_range_s": [9.0, 9.0]}))
+    assert not torch.equal(found, places(1))
+
+
 def test_a_class_term_gets_its_config_and_its_parameters(make):
     env = make()
     term = env.reward_manager.get_term_cfg("smooth")

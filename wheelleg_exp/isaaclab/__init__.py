@@ -9,11 +9,15 @@ Lab's names to existing classes. The import of ``wheelleg_exp.isaaclab`` creates
 
 from __future__ import annotations
 
+import functools
+import inspect
 import sys
 from importlib import import_module
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
+
+import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.isaaclab_attributes import Simulation
@@ -34,9 +38,38 @@ def _public(module: ModuleType) -> dict[str, Any]:
     return {n: v for n, v in names.items() if f"{getattr(v, '__module__', module.__name__)}.".startswith(own)}
 
 
+def _with_isaac_labs_parameters(stock: Any) -> Any:
+    """Let terms call a stock event as in Isaac Lab: without ``generator``, and as a function if it is a class here.
+
+    The event draws from torch's global generator, which is the random stream of the calling term.
+    """
+    if not callable(stock) or "generator" not in inspect.signature(stock).parameters:
+        return stock
+    is_class = inspect.isclass(stock)
+    if is_class and stock.__name__.startswith("randomize_"):  # a class in Isaac Lab, too
+        return stock
+    names = [name for name in inspect.signature(stock).parameters if name not in ("env", "env_ids", "generator")]
+
+    @functools.wraps(stock, updated=() if is_class else ("__dict__",))
+    def event(env: Any, env_ids: torch.Tensor | None, *values: Any, **settings: Any) -> None:
+        settings |= dict(zip(names[: len(values)], values, strict=True))
+        if "generator" not in settings:
+            on_gpu = env.device.type == "cuda"
+            generator = torch.cuda.default_generators[env.device.index or 0] if on_gpu else torch.default_generator
+            settings["generator"] = generator
+        if is_class:
+            stock(env, **settings)(env, env_ids)
+        else:
+            stock(env, env_ids, **settings)
+
+    return event
+
+
 _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
+_EVENTS = _TERMS_BY_KIND["events"]
+_EVENTS.update({name: _with_isaac_labs_parameters(event) for name, event in _EVENTS.items()})
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
 # Each entry of ``_MODULES`` defines a module: path, docstring, and members. A package precedes its modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
