@@ -24,6 +24,7 @@ LAYERS = (
     ("managers",),
     ("mdp", "env"),
     ("isaaclab",),
+    ("isaaclab_tasks",),
     ("build", "rl"),
     ("config",),
     ("lint", "gym"),

@@ -6,6 +6,8 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab.managers import ManagerTermBase, SceneEntityCfg
 from wheelleg_exp.isaaclab.utils import string
+from wheelleg_exp.isaaclab.utils.buffers import CircularBuffer, DelayBuffer
+from wheelleg_exp.state import made
 from wheelleg_exp.terms.term_binding import takes_cfg
 
 N, J = 4, 4
@@ -168,3 +170,22 @@ def test_there_are_as_many_idioms_as_the_page_states_and_the_config_is_read_only
     assert (env.cfg["rewards"]["alive"]["weight"], dict(env.cfg.rewards)) == (1.5, env.cfg["rewards"])
     with pytest.raises(ConfigError, match="fixed_tendon_names"):  # The scene has no tendons.
         resolved(env, fixed_tendon_names=["a"])
+
+
+def test_buffers_keep_the_last_samples_of_each_environment():
+    """The first sample after a reset also fills the older places, as in Isaac Lab."""
+    late, again = (DelayBuffer(history_length=2, batch_size=3, device="cpu") for _ in range(2))
+    made(late)
+    made(again)
+    late.set_time_lag(torch.tensor([0, 1, 2]))
+    seen = [late.compute(torch.full((3, 1), float(k)))[:, 0].tolist() for k in range(4)]
+    assert seen == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [3.0, 2.0, 1.0]]
+    again.load_state_dict(late.state_dict())
+    again.reset([2])
+    assert again._buffer.buffer[:, :, 0].tolist() == [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]
+    assert again._buffer.current_length.tolist() == [3, 3, 0]
+    assert again.compute(torch.full((3, 1), 9.0))[:, 0].tolist() == [9.0, 3.0, 9.0]
+    with pytest.raises(ValueError, match="the delay is 3, expected 0 to 2"):
+        late.set_time_lag(3)
+    with pytest.raises(RuntimeError, match="append first"):
+        CircularBuffer(2, 1, "cpu")[torch.zeros(1, dtype=torch.long)]

@@ -11,10 +11,13 @@ PATHS = {
     "actuators": "ImplicitActuator DCMotor",
     "assets": "Articulation ArticulationData AssetBase RigidObject RigidObjectCollection RigidObjectData",
     "assets.articulation": "Articulation ArticulationData",
+    "assets.articulation.articulation": "Articulation",
     "assets.rigid_object": "RigidObject RigidObjectData",
     "envs": "ManagerBasedEnv ManagerBasedRLEnv mdp",
+    "envs.manager_based_rl_env": "ManagerBasedRLEnv",
     "envs.mdp": "JointPositionAction UniformVelocityCommand modify_term_cfg joint_pos_rel base_height_l2 time_out",
     "envs.mdp.actions": "JointPositionAction",
+    "envs.mdp.actions.joint_actions": "JointPositionAction",
     "envs.mdp.commands": "UniformVelocityCommand",
     "envs.mdp.curriculums": "modify_term_cfg",
     "envs.mdp.events": "reset_joints_by_scale push_by_setting_velocity",
@@ -27,13 +30,19 @@ PATHS = {
     "managers.manager_base": "ManagerTermBase",
     "managers.manager_term_cfg": "RewardTermCfg ActionTermCfg",
     "managers.scene_entity_cfg": "SceneEntityCfg",
+    "markers": "VisualizationMarkers VisualizationMarkersCfg",
     "scene": "InteractiveScene",
     "sensors": "Camera ContactSensor Imu RayCaster TiledCamera",
+    "sensors.contact_sensor": "ContactSensor",
+    "sensors.ray_caster": "RayCaster",
     "sim": "SimulationContext",
     "terrains": "TerrainImporter",
     "utils": "configclass math string",
+    "utils.buffers": "CircularBuffer DelayBuffer",
     "utils.configclass": "configclass",
     "utils.math": "quat_mul wrap_to_pi sample_uniform",
+    "utils.modifiers": "Integrator DigitalFilter",
+    "utils.noise": "NoiseModelWithAdditiveBias ConstantNoise",
     "utils.string": "resolve_matching_names",
 }
 
@@ -41,5 +50,6 @@ PATHS = {
 def test_every_path_has_its_names_and_can_be_imported_before_the_package():
     lines = [f"from wheelleg_exp.isaaclab.{path} import {', '.join(names.split())}" for path, names in PATHS.items()]
     firsts = [f"import wheelleg_exp.isaaclab.{path}" for path in ("managers.command_manager", "envs.mdp.rewards")]
+    firsts.append("from wheelleg_exp.isaaclab_tasks.manager_based.locomotion.velocity.mdp import feet_slide")
     for code in ("\n".join(lines), *firsts):
         subprocess.run([sys.executable, "-c", code], check=True)

@@ -3,8 +3,9 @@
 For example, the line ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers
 import SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
-Only the modules ``managers`` and ``utils`` have source files. All other modules, such as ``envs``, only give Isaac
-Lab's names to existing classes. The import of ``wheelleg_exp.isaaclab`` creates these modules from ``_MODULES``.
+Only the modules ``managers``, ``markers``, and ``utils`` have source files. All other modules, such as ``envs``, only
+give Isaac Lab's names to existing classes. The import of ``wheelleg_exp.isaaclab`` creates these modules from
+``_MODULES``.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.isaaclab_attributes import Simulation
-from wheelleg_exp.isaaclab import managers
+from wheelleg_exp.isaaclab import managers, utils  # The modules of ``utils`` need their package.
+from wheelleg_exp.mdp import modifiers, noise
 from wheelleg_exp.sim import actuators, sensors
 from wheelleg_exp.sim.articulation_data import ArticulationData
 from wheelleg_exp.sim.robot import Robot
@@ -70,28 +72,45 @@ _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _EVENTS = _TERMS_BY_KIND["events"]
 _EVENTS.update({name: _with_isaac_labs_parameters(event) for name, event in _EVENTS.items()})
+TERMS = {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}
+_ENVS = dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)
+_SENSORS = {**_public(sensors), "TiledCamera": sensors.Camera}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
 # Each entry of ``_MODULES`` defines a module: path, docstring, and members. A package precedes its modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "actuators": ("The actuator models.", _public(actuators)),
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),
     "assets.articulation": ("The robot.", _ROBOT),
+    "assets.articulation.articulation": ("The robot.", _ROBOT),
+    "assets.articulation.articulation_data": ("The robot's state.", _ROBOT),
     "assets.rigid_object": ("The robot.", _BODY),
-    "envs": ("The environment.", dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)),
-    "envs.mdp": ("The stock terms.", {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}),
+    "envs": ("The environment.", _ENVS),
+    **{f"envs.{name}": ("The environment.", _ENVS) for name in ("manager_based_env", "manager_based_rl_env")},
+    "envs.mdp": ("The stock terms.", TERMS),
     **{f"envs.mdp.{kind}": (f"The stock {kind}.", terms) for kind, terms in _TERMS_BY_KIND.items()},
+    "envs.mdp.actions.joint_actions": ("The stock actions of joints.", _TERMS_BY_KIND["actions"]),
+    "envs.mdp.commands.velocity_command": ("The stock commands.", _TERMS_BY_KIND["commands"]),
     **{f"managers.{name}": ("Terms and managers.", _MANAGERS) for name in _MODULES_OF_MANAGERS},
     "scene": ("The scene.", {"InteractiveScene": Scene}),
-    "sensors": ("The sensors of the scene.", {**_public(sensors), "TiledCamera": sensors.Camera}),
+    "sensors": ("The sensors of the scene.", _SENSORS),
+    **{f"sensors.{name}": ("A sensor.", _SENSORS) for name in ("camera", "contact_sensor", "imu", "ray_caster")},
     "sim": ("The simulation, for annotations.", {"SimulationContext": Simulation}),
     "terrains": ("The ground.", {"TerrainImporter": TerrainBase}),
+    "utils.modifiers": ("The modifiers of observations.", _public(modifiers)),
+    "utils.noise": ("The noise of observations.", _public(noise)),
 }
-for _path, (_doc, _members) in _MODULES.items():
-    # Create each ``isaaclab`` module of ``_MODULES``, and make the module importable by its dotted path.
-    _module = ModuleType(f"{__name__}.{_path}", _doc)
-    _module.__spec__ = ModuleSpec(_module.__name__, None, is_package=True)
-    _module.__path__ = []
-    vars(_module).update(_members)
-    sys.modules[_module.__name__] = _module
-    _parent, _, _name = _module.__name__.rpartition(".")
-    setattr(sys.modules[_parent], _name, _module)
+
+
+def make_modules(package: str, modules: dict[str, tuple[str, dict[str, Any]]]) -> None:
+    """Create the modules of ``package`` that ``modules`` defines, and make them importable by their dotted paths."""
+    for path, (doc, members) in modules.items():
+        module = ModuleType(f"{package}.{path}", doc)
+        module.__spec__ = ModuleSpec(module.__name__, None, is_package=True)
+        module.__path__ = []
+        vars(module).update(members)
+        sys.modules[module.__name__] = module
+        parent, _, name = module.__name__.rpartition(".")
+        setattr(sys.modules[parent], name, module)
+
+
+make_modules(__name__, _MODULES)

@@ -1,0 +1,35 @@
+"""Markers with the interface of ``isaaclab.markers``, which draw nothing: recordings show robots, not markers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from wheelleg_exp.state import Kept
+
+
+class VisualizationMarkersCfg:
+    """The settings of markers; all of them are accepted, and none has an effect."""
+
+    def __init__(self, **settings: Any) -> None:
+        vars(self).update(settings)
+
+    def replace(self, **settings: Any) -> VisualizationMarkersCfg:
+        """Return a copy with other settings."""
+        return VisualizationMarkersCfg(**{**vars(self), **settings})
+
+
+class VisualizationMarkers(Kept):
+    """Markers that are never drawn."""
+
+    def __init__(self, cfg: Any = None) -> None:
+        self.cfg = cfg
+
+    def set_visibility(self, visible: bool) -> None:
+        """Do nothing."""
+
+    def is_visible(self) -> bool:
+        """Return False."""
+        return False
+
+    def visualize(self, *args: Any, **kwargs: Any) -> None:
+        """Do nothing."""
