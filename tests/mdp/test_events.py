@@ -42,6 +42,13 @@ def test_the_dynamic_coefficient_is_written_if_the_robot_names_it(make_env):
     assert friction[0, env.scene.model.geom("left_wheel").id, 0] == pytest.approx((0.2 + 0.4) / 2)
 
 
+def test_coefficients_are_combined_as_the_robot_says(make_env):
+    node = event("randomize_rigid_body_material", **MATERIAL | {"static_friction_range": [0.3, 0.3]})
+    env = make_env(events={"m": node}, robot={"friction_combine_mode": "multiply"})
+    friction = env.scene.sim.batch.expanded("geom_friction")
+    assert friction[0, env.scene.model.geom("left_wheel").id, 0] == pytest.approx(0.3 * 0.5)
+
+
 def test_only_shapes_of_the_configured_bodies_are_written(make_env):
     env = make_env(events={"m": event("randomize_rigid_body_material", **MATERIAL, asset_cfg=bodies(".*_wheel"))})
     friction, model = env.scene.sim.batch.expanded("geom_friction"), env.scene.model

@@ -169,9 +169,10 @@ def test_the_log_has_the_share_of_robots_that_end_beyond_a_velocity_limit(start_
     assert float(env.reset()[1]["log"]["Diagnostics/joint_over_speed"]) == 0.0
 
 
-def test_friction_is_averaged_with_the_coefficient_that_the_robot_names(make_env):
-    env = make_env("block", robot={"friction_source": "dynamic"})
-    assert float(env.scene.model.geom("cube").friction[0]) == pytest.approx((0.8 + 0.4) / 2)
+@pytest.mark.parametrize(("mode", "expected"), [("average", 0.6), ("min", 0.4), ("multiply", 0.32), ("max", 0.8)])
+def test_the_coefficients_of_robot_and_ground_are_combined(make_env, mode, expected):
+    env = make_env("block", robot={"friction_source": "dynamic", "friction_combine_mode": mode})
+    assert float(env.scene.model.geom("cube").friction[0]) == pytest.approx(expected)
     assert env.scene.model.geom("cube").priority[0] > env.scene.model.geom("ground").priority[0]
 
 

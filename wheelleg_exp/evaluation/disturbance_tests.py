@@ -156,6 +156,7 @@ def changed(cfg: dict[str, Any], options: Robust, name: str, value: float) -> di
     pair, zero = [value, value], [0.0, 0.0]
     if name == "friction":
         cfg["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
+        cfg["robot"] = {**cfg["robot"], "friction_combine_mode": "average"}
         ranges = {"static_friction_range": pair, "dynamic_friction_range": pair, "restitution_range": zero}
         return _with_event(cfg, "rigid_body_material", ranges | {"num_buckets": 1})
     if name == "mass":

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
+import torch
+
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
+from wheelleg_exp.sim.terrain import combined_friction
 
 _ARMATURE = 10.0  # An armature above ten times the inertia of the links that the joint moves is implausible.
 _TRACTION = 10.0  # A wheel's effort limit above ten times the torque at which the wheel slips is implausible.
@@ -63,7 +66,9 @@ def wheel_friction(case: Case) -> float:
     source = str(case.env["robot"].get("friction_source", "static"))
     ground = float(case.env["scene"]["terrain"][f"{source}_friction"])
     materials = case.terms("events", "events.randomize_rigid_body_material")
-    found = [(float(term.node[f"{source}_friction_range"][1]) + ground) / 2 for term in materials]
+    mode = case.env["robot"].get("friction_combine_mode", "average")
+    largest = [torch.tensor(float(term.node[f"{source}_friction_range"][1])) for term in materials]
+    found = [float(combined_friction(own, ground, mode)) for own in largest]
     return max(found, default=case.facts.friction)
 
 

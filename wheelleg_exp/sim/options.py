@@ -116,6 +116,9 @@ class InitState:
     joint_vel: dict[str, float]
 
 
+CombineMode = Literal["average", "min", "multiply", "max"]
+
+
 @dataclass(frozen=True)
 class RobotOptions:
     """The robot (``env.robot``).
@@ -128,6 +131,7 @@ class RobotOptions:
         joint_order: joint names in the order that terms see; null is breadth-first, as in PhysX.
         soft_joint_pos_limit_factor: width of the soft limits as a share of the joint range.
         friction_source: which of a material's two coefficients becomes MuJoCo's single coefficient.
+        friction_combine_mode: how the coefficients of robot and ground combine; Isaac Lab's locomotion tasks multiply.
         actuators: the nodes of the actuator groups by name.
         self_collisions: whether the robot's own bodies collide; null uses the asset's setting.
         root_frame: orientation of the root link's frame relative to the file's, (w, x, y, z), for a file without x
@@ -144,3 +148,4 @@ class RobotOptions:
     actuators: dict[str, Node | None]
     self_collisions: bool | None = None
     root_frame: Annotated[Sequence[float], Length(4), NotAllZero()] | None = None
+    friction_combine_mode: CombineMode = "average"

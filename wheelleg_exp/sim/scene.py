@@ -22,7 +22,7 @@ from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import ACTUATORS_KEY, Robot
 from wheelleg_exp.sim.robot_model import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase, require_base_called
-from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, is_ground
+from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, combined_friction, is_ground
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
@@ -72,13 +72,14 @@ class Scene(Kept):
             terrain.lay(spec)
         self.env_origins = terrain.env_origins
         leave_group_to_ground(spec)
-        # In each contact of robot and ground, PhysX uses the average of the two friction coefficients.
+        # In each contact of robot and ground, PhysX combines the two friction coefficients.
         # MuJoCo uses the friction of the geom with higher priority, so raise the priority of the robot's geoms.
         ground = self.terrain.friction(robot.friction_source)
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
                 geom.priority = _ROBOT_PRIORITY
-                geom.friction[0] = (geom.friction[0] + ground) / 2
+                own = torch.tensor(geom.friction[0], dtype=torch.float64)
+                geom.friction[0] = float(combined_friction(own, ground, robot.friction_combine_mode))
         for name, actuator in actuators.items():
             with blamed(f"{ACTUATORS_KEY}.{name}", actuator):
                 actuator.read_files(mjcf.parent, f"{ACTUATORS_KEY}.{name}", self.device)

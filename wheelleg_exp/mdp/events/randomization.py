@@ -13,6 +13,7 @@ from wheelleg_exp.constraints import Broken, Interval, Length, NonNegativeInterv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.terrain import combined_friction
 
 Operation = Literal["add", "scale", "abs"]
 Distribution = Literal["uniform", "log_uniform", "gaussian"]
@@ -85,10 +86,10 @@ _ROBOT = SceneEntityCfg("robot")
 class randomize_rigid_body_material(TermBase):
     """Give each collision shape of the robot in each environment one of ``num_buckets`` random materials.
 
-    PhysX averages the friction coefficients of two touching shapes, but MuJoCo takes the larger coefficient. To match
-    PhysX, the robot's shapes get the mean friction (robot + ground) / 2 and a higher priority than the ground. MuJoCo
-    has only one Coulomb friction coefficient, which ``env.robot.friction_source`` selects (static or dynamic). A
-    restitution is drawn and stored in ``materials``, but has no effect in MuJoCo.
+    PhysX combines the friction coefficients of two touching shapes, but MuJoCo takes the larger coefficient. To match
+    PhysX, the robot's shapes get the combined friction (``env.robot.friction_combine_mode``) and a higher priority than
+    the ground. MuJoCo has only one Coulomb friction coefficient, which ``env.robot.friction_source`` selects (static or
+    dynamic). A restitution is drawn and stored in ``materials``, but has no effect in MuJoCo.
 
     Args:
         static_friction_range: [low, high].
@@ -120,7 +121,7 @@ class randomize_rigid_body_material(TermBase):
         self._geom_ids = robot.shape_ids(asset_cfg.body_ids)
         source = robot.options.friction_source
         self._column = 0 if source == "static" else 1
-        self._ground = env.scene.terrain.friction(source)
+        self._ground, self._mode = env.scene.terrain.friction(source), robot.options.friction_combine_mode
         self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3, device=env.device)
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
@@ -128,7 +129,7 @@ class randomize_rigid_body_material(TermBase):
         shape = (len(ids), len(self._geom_ids))
         chosen = torch.randint(len(self.buckets), shape, generator=self._generator, device=ids.device)
         self.materials[ids] = self.buckets[chosen]
-        effective = (self.materials[ids, :, self._column] + self._ground) / 2
+        effective = combined_friction(self.materials[ids, :, self._column], self._ground, self._mode)
         env.scene.sim.expand("geom_friction")[ids.unsqueeze(1), self._geom_ids, 0] = effective.to(env.scene.sim.dtype)
 
 

@@ -23,6 +23,7 @@ from wheelleg_exp.sim.terrain.terrain_base import (
     TERRAIN_KEY,
     Plane,
     TerrainBase,
+    combined_friction,
     grid_origins,
     is_ground,
 )

@@ -16,6 +16,7 @@ from wheelleg_exp.constraints import NonNegative, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.options import CombineMode
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
@@ -218,6 +219,15 @@ def grid_origins(num_envs: int, spacing: float, device: torch.device | None = No
     origins[:, 0] = (-(i.flatten()[:num_envs] - (rows - 1) / 2)) * spacing
     origins[:, 1] = (j.flatten()[:num_envs] - (cols - 1) / 2) * spacing
     return origins
+
+
+def combined_friction(own: torch.Tensor, ground: float, mode: CombineMode) -> torch.Tensor:
+    """Return the friction coefficient of a contact from those of two materials, as PhysX combines them."""
+    if mode == "average":
+        return (own + ground) / 2
+    if mode == "multiply":
+        return own * ground
+    return own.clamp(max=ground) if mode == "min" else own.clamp(min=ground)
 
 
 class Plane(TerrainBase):
