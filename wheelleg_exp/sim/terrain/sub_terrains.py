@@ -264,6 +264,9 @@ class Flat(SubTerrain):
 class PyramidStairs(SubTerrain):
     """Terrain tile of stairs that rise from all four sides of the tile to a level top.
 
+    The outermost ring has the height 0. In Isaac Lab, it is one step high, and the same numbers give one or two levels
+    more.
+
     Args:
         step_height_range: step height of the easiest and the hardest tile, m.
         step_width: m.
@@ -291,7 +294,7 @@ class RandomGrid(SubTerrain):
     Args:
         grid_width: edge of a square, m.
         grid_height_range: a of the easiest and the hardest tile, m.
-        platform_width: edge of the level square in the centre, m.
+        platform_width: edge of the level square in the centre, m; its height is 0 here, and a in Isaac Lab.
     """
 
     grid_width: Positive

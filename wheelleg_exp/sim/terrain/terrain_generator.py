@@ -105,7 +105,7 @@ class TerrainGenerator(TerrainBase):
         seed: seed of the ground's random generator; null means the run's seed.
         max_init_terrain_level: highest row in which an environment starts; null means the last row.
         origin_window: edge of a window in the tile's centre, as a share of the tile's edge; its highest point is the
-            height of the tile's origin.
+            height of the tile's origin. In Isaac Lab, each kind of tile defines this height, such as 0 for ``Rails``.
     """
 
     def __init__(
