@@ -32,6 +32,10 @@ def height_above(env: ManagerBasedRLEnv, minimum: float, asset_cfg: SceneEntityC
     return torch.clamp(asset.data.root_pos_w[:, 2] - minimum, min=0.0)
 
 
+def scaled_height(env: ManagerBasedRLEnv, scale: float) -> torch.Tensor:
+    return scale * env.scene["robot"].data.root_pos_w[:, 2:3]
+
+
 def air_time(env: ManagerBasedRLEnv, sensor_cfg: SceneEntityCfg, threshold: float) -> torch.Tensor:
     sensor: ContactSensor = env.scene.sensors[sensor_cfg.name]
     first = sensor.compute_first_contact(env.step_dt)[:, sensor_cfg.body_ids]

@@ -41,6 +41,12 @@ def lived(env, steps=7):
     return env
 
 
+def test_an_observation_can_have_a_parameter_named_scale(make):
+    env = make(observations={"policy": {"terms": {"high": {"_target_": P + "scaled_height", "scale": 3.0}}}})
+    seen = env.reset()[0]["policy"]
+    torch.testing.assert_close(seen, 3.0 * env.scene.robot.data.root_pos_w[:, 2:3])
+
+
 def test_a_term_calls_stock_events_that_draw_from_the_terms_own_stream(make):
     def places(seed, **more):
         scatter = {"_target_": P + "scatter", "mode": "reset", "spread": 0.2, "asset_cfg": HIPS}

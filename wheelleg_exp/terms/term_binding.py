@@ -76,6 +76,8 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
+SHARED = "scale"  # An observation's function receives this key instead of the manager if it has this parameter.
+
 # The config section ``recorders`` may be missing.
 OPTIONAL = "recorders"
 
@@ -170,7 +172,13 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
             raise UnreadKey(key=f"{path}.{misspelled}", expected=expected, nearest=TARGET)
         message = "there are settings for this term, but the term is not selected (it has no _target_)"
         raise NotSelected(message, key=path, expected=f"the term in the task's list of {kind}, or no settings for it")
-    reserved = RESERVED[kind]
+    reserved: Sequence[str] = RESERVED[kind]
+    if (
+        SHARED in reserved
+        and SHARED in node
+        and SHARED in signature_parameters(resolve_target(str(node[TARGET]), path))
+    ):
+        reserved = [name for name in reserved if name != SHARED]
     fields = {k: v for k, v in node.items() if k in reserved}
     params = {k: v for k, v in node.items() if k not in reserved and k != TARGET}
     return TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), fields, params)

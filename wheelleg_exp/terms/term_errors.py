@@ -79,7 +79,7 @@ def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]
 def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
     accepted = binding.signature_parameters(target)
     for name in accepted:
-        if name in binding.RESERVED[section]:
+        if name in binding.RESERVED[section] and name != binding.SHARED:
             message = f"'{term.target}' has a parameter '{name}', but this name is a field of the manager"
             expected = "a target without parameters named " + ", ".join(binding.RESERVED[section])
             yield ConfigError(message, key=term.path, expected=expected)
