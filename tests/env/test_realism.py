@@ -95,10 +95,13 @@ def test_a_misspelled_name_in_a_variant_is_a_mistake_and_a_removed_event_is_not(
     assert re.search(place, str(error))
 
 
+IMU = {"imu": {"_target_": "wheelleg_exp.sim.sensors.Imu", "body_name": "base"}}
+
+
 def imu(make_env, pitch, bias, names=("base_ang_vel", "projected_gravity")):
     tilt = {"roll": [0.0, 0.0], "pitch": [pitch, pitch], "yaw": [0.0, 0.0]}
     errors = event("randomize_imu_errors", mode="reset", tilt_range=tilt, gyro_bias_range=[bias, bias])
-    env = make_env(observations=terms(*names), events={"imu": errors})
+    env = make_env(observations=terms(*names), events={"imu": errors}, scene={"sensors": IMU})
     env.reset()
     return env
 
@@ -112,17 +115,23 @@ def test_a_tilted_imu_with_a_bias_reads_the_true_motion_in_its_own_axes(make_env
     torch.testing.assert_close(readings(env, "base_ang_vel"), rate.expand(4, 3))
     torch.testing.assert_close(readings(env, "projected_gravity"), torch.tensor([sin, 0.0, -cos]).expand(4, 3))
     torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([0.0, 0.0, -1.0]).expand(4, 3))
+    env.scene.refresh()
+    seen = env.scene["imu"].data
+    torch.testing.assert_close(seen.ang_vel_b, rate.expand(4, 3))
+    torch.testing.assert_close(seen.projected_gravity_b, torch.tensor([sin, 0.0, -cos]).expand(4, 3))
 
 
 def test_a_floor_slope_tilts_gravity_and_the_imu_measures_the_slope(make_env):
     slope = event("randomize_floor_slope", mode="reset", slope_range=[0.2, 0.2])
-    env = make_env(observations=terms("projected_gravity"), events={"slope": slope})
+    env = make_env(observations=terms("projected_gravity"), events={"slope": slope}, scene={"sensors": IMU})
     env.reset()
     gravity = env.scene.sim.expanded["opt.gravity"].float()
     torch.testing.assert_close(gravity.norm(dim=1), torch.full((4,), 9.81))
     torch.testing.assert_close(-gravity[:, 2] / 9.81, torch.full((4,), math.cos(0.2)))
     assert len(gravity[:, 0].unique()) == 4
     torch.testing.assert_close(readings(env, "projected_gravity"), gravity / 9.81)
+    torch.testing.assert_close(env.scene["imu"].data.projected_gravity_b, gravity / 9.81)
+    torch.testing.assert_close(env.scene["imu"].data.lin_acc_b, -gravity)
 
 
 def test_a_kick_is_proportional_to_the_level_of_the_robot(make_env):

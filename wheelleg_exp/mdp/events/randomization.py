@@ -359,8 +359,8 @@ class randomize_encoder_bias(TermBase):
 class randomize_imu_errors(TermBase):
     """Draw how the IMU is mounted on the root link, and the bias of its gyroscope. Not in Isaac Lab.
 
-    The observations ``base_ang_vel``, ``projected_gravity`` and ``base_roll_pitch``, and commands that integrate the
-    yaw rate, use the IMU's readings. Rewards, terminations, and sensors of the class ``Imu`` use the true motion.
+    The observations ``base_ang_vel``, ``projected_gravity`` and ``base_roll_pitch``, commands that integrate the yaw
+    rate, and sensors of the class ``Imu`` use the IMU's readings. Rewards and terminations use the true motion.
 
     Args:
         tilt_range: rotation of the IMU about its axes: ``roll``, ``pitch``, ``yaw``, rad.
@@ -412,8 +412,8 @@ def randomize_effort_limits(
 class randomize_floor_slope(TermBase):
     """Tilt gravity in the world, which has the same effect as a sloping floor. Not in Isaac Lab.
 
-    Unlike after ``randomize_physics_scene_gravity``, the observation ``projected_gravity`` shows the tilted gravity.
-    Sensors of the class ``Imu`` do not: they use the direction of ``env.sim.gravity``.
+    Unlike after ``randomize_physics_scene_gravity``, the observation ``projected_gravity`` and sensors of the class
+    ``Imu`` show the tilted gravity.
 
     Args:
         slope_range: [low, high], angle between the floor and the horizontal, rad; its direction is uniform.

@@ -62,6 +62,7 @@ class Imu(SensorBase):
 
     Accelerations are finite differences of the IMU's velocities over the last physics step. Velocities that events
     write have no effect on the measured accelerations. After a reset, accelerations are 0 until the next physics step.
+    All vectors show the robot's IMU errors (``randomize_imu_errors``) and a sloping floor; ``quat_w`` does not.
 
     Args:
         body_name: expression of the body.
@@ -92,7 +93,7 @@ class Imu(SensorBase):
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
         super().add_to(spec, name, robot)
-        self._mount = Mount(self._body, robot, f"{self.key}.body_name")
+        self._mount, self._robot = Mount(self._body, robot, f"{self.key}.body_name"), robot
         self.body_names = [self._mount.body]
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
@@ -154,14 +155,18 @@ class Imu(SensorBase):
     def _show(self, due: torch.Tensor | None) -> None:
         """Write new measurements to ``data`` in the environments of the mask ``due``; None means all environments."""
         body = self._mount.rot_w
-        rot = body @ self._turn
+        rot, robot = body @ self._turn, self._robot.data
         velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)
-        felt, gravity = acceleration[0] + self._gravity_bias, self._gravity.expand_as(velocity[0])
+        gravity, bias = self._gravity.expand_as(velocity[0]), self._gravity_bias
+        if robot.has_imu_errors:
+            rot = body @ robot.imu_tilt @ self._turn
+            gravity, bias = robot.gravity_dir_w, bias - bias.norm() * (robot.gravity_dir_w - self._gravity)
+        felt = acceleration[0] + bias
         vectors = torch.stack((*velocity, felt, acceleration[1], gravity), dim=1)
         lin_vel, ang_vel, lin_acc, ang_acc, gravity = (vectors @ rot).unbind(dim=1)
         error = self._bias_b + self._noise_b
         seen = {"projected_gravity_b": gravity, "lin_vel_b": lin_vel, "ang_acc_b": ang_acc}
-        seen |= {"ang_vel_b": ang_vel + error[:, 3:], "lin_acc_b": lin_acc + error[:, :3]}
+        seen |= {"ang_vel_b": ang_vel + error[:, 3:] + robot.gyro_bias, "lin_acc_b": lin_acc + error[:, :3]}
         seen["pos_w"] = self._mount.pos_w + body @ self._offset_pos
         seen["quat_w"] = rotation.quat_mul(self._mount.quat_w, self._offset_quat.expand(len(body), 4))
         for name, value in seen.items():
