@@ -20,6 +20,8 @@ from wheelleg_exp.isaaclab.managers import (
     RewardTermCfg,
     SceneEntityCfg,
 )
+from wheelleg_exp.isaaclab.markers import VisualizationMarkersCfg
+from wheelleg_exp.isaaclab.markers.config import FRAME_MARKER_CFG
 from wheelleg_exp.isaaclab.sensors import ContactSensor
 from wheelleg_exp.isaaclab.utils import configclass
 
@@ -120,6 +122,7 @@ class TorqueAction(ActionTerm):
 
 @configclass
 class HopCommandCfg(CommandTermCfg):
+    goal_visualizer_cfg: VisualizationMarkersCfg = FRAME_MARKER_CFG.replace(prim_path="/Visuals/goal")
     heights: tuple[float, float] = MISSING
 
 

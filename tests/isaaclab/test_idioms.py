@@ -7,6 +7,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab.managers import ManagerTermBase, SceneEntityCfg
 from wheelleg_exp.isaaclab.utils import string
 from wheelleg_exp.isaaclab.utils.buffers import CircularBuffer, DelayBuffer
+from wheelleg_exp.managers import TermBase
 from wheelleg_exp.state import made
 from wheelleg_exp.terms.term_binding import takes_cfg
 
@@ -59,6 +60,11 @@ class EnvFirst(ManagerTermBase):
         super().__init__(cfg, env)
 
 
+class Native(TermBase):
+    def __init__(self, env, cfg):
+        self.cfg = cfg
+
+
 def shape(*of):
     return lambda found: tuple(found.shape) == of
 
@@ -93,7 +99,7 @@ IDIOMS = [
     ("sensor.num_bodies", lambda e: e.scene.sensors["contact"].num_bodies, lambda n: n > 0),
     # the managers
     ("manager _term_names", lambda e: e.reward_manager._term_names, ["alive", "heavy"]),
-    ("a term by keyword", lambda e: takes_cfg(EnvFirst), True),
+    ("a term by keyword", lambda e: (takes_cfg(EnvFirst), takes_cfg(Native)), (True, False)),
     ("command_manager.get_term", lambda e: e.command_manager.get_term("base_velocity").time_left, shape(N)),
     ("command.cfg.ranges", lambda e: e.command_manager.get_term("base_velocity").cfg.ranges.lin_vel_x, (-0.5, 0.5)),
     ("action_manager.get_term", lambda e: e.action_manager.get_term("hips").raw_actions[0].tolist(), [0.2, 0.2]),

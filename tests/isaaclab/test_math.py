@@ -42,6 +42,12 @@ def test_products_and_rotations_are_mujocos():
         m.quat_mul(QUATS, QUATS[:3])
 
 
+def test_types_are_promoted_angles_are_broadcast_and_results_can_be_viewed():
+    assert m.quat_mul(QUATS, OTHERS.double()).dtype == torch.float64
+    close(m.matrix_from_quat(QUATS).view(-1, 9), by_mujoco(mujoco.mju_quat2Mat, 9, QUATS))
+    assert m.quat_from_euler_xyz(T([0.0]), T([0.0]), torch.zeros(5)).tolist() == 5 * [[1.0, 0.0, 0.0, 0.0]]
+
+
 def test_half_turns_have_quaternions_too():
     """The trace of the matrix is -1, so the largest component is not w."""
     for axis in range(3):

@@ -1,5 +1,8 @@
 """Terms written for Isaac Lab in a real environment: bound, called, drawing from their own stream, saved."""
 
+import sys
+from types import ModuleType
+
 import pytest
 import torch
 
@@ -65,6 +68,23 @@ def test_a_term_calls_stock_events_that_draw_from_the_terms_own_stream(make):
     assert found[:, 3:].abs().max() < 1e-6
     assert torch.equal(found, places(0, other={**EVENTS["jolt"], "mode": "interval", "interval_range_s": [9.0, 9.0]}))
     assert not torch.equal(found, places(1))
+
+
+def test_a_module_that_imports_only_a_stock_event_draws_from_its_terms_stream(make, monkeypatch):
+    module = ModuleType("isaaclab.only_an_event")
+    exec(
+        "from wheelleg_exp.isaaclab.envs.mdp import reset_joints_by_offset\n"
+        "def shake(env, env_ids, asset_cfg):\n"
+        "    reset_joints_by_offset(env, env_ids.tolist(), (0.1, 0.2), (0.0, 0.0), asset_cfg)\n",
+        vars(module),
+    )
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    node = {"_target_": f"{module.__name__}.shake", "mode": "reset", "asset_cfg": HIPS}
+    env = make(events={"shake": node})
+    with no_global_draws():
+        env.reset()
+    moved = (env.scene.robot.data.joint_pos - env.scene.robot.data.default_joint_pos)[:, :2]
+    assert ((moved >= 0.1) & (moved <= 0.2)).all()
 
 
 def test_a_class_term_gets_its_config_and_its_parameters(make):

@@ -22,7 +22,7 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.isaaclab_attributes import Simulation
-from wheelleg_exp.isaaclab import managers, utils  # The modules of ``utils`` need their package.
+from wheelleg_exp.isaaclab import managers, markers, utils  # The modules of ``utils`` need their package.
 from wheelleg_exp.mdp import modifiers, noise
 from wheelleg_exp.sim import actuators, sensors
 from wheelleg_exp.sim.articulation_data import ArticulationData
@@ -31,6 +31,11 @@ from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.sim.terrain import TerrainBase
 
 _TERMS = ("actions", "commands", "curriculums", "events", "observations", "rewards", "terminations")
+_MARKERS = (
+    *("CONTACT_SENSOR_MARKER_CFG", "CUBOID_MARKER_CFG", "FRAME_MARKER_CFG", "POSITION_GOAL_MARKER_CFG"),
+    *("RAY_CASTER_MARKER_CFG", "SPHERE_MARKER_CFG"),
+    *("BLUE_ARROW_X_MARKER_CFG", "GREEN_ARROW_X_MARKER_CFG", "RED_ARROW_X_MARKER_CFG"),
+)
 _MODULES_OF_MANAGERS = ("action_manager", "command_manager", "manager_base", "manager_term_cfg", "scene_entity_cfg")
 
 
@@ -41,19 +46,21 @@ def _public(module: ModuleType) -> dict[str, Any]:
 
 
 def _with_isaac_labs_parameters(stock: Any) -> Any:
-    """Let terms call a stock event as in Isaac Lab: without ``generator``, and as a function if it is a class here.
+    """Return a stock event that terms can call with Isaac Lab's parameters, which have no ``generator``.
 
-    The event draws from torch's global generator, which is the random stream of the calling term.
+    The event draws from torch's global generator, which is the random stream of the calling term. The result is a
+    function, also for the stock events that are functions in Isaac Lab, but classes here.
     """
-    if not callable(stock) or "generator" not in inspect.signature(stock).parameters:
-        return stock
+    parameters = list(inspect.signature(stock).parameters) if callable(stock) else []
     is_class = inspect.isclass(stock)
-    if is_class and stock.__name__.startswith("randomize_"):  # a class in Isaac Lab, too
+    is_class_there = is_class and stock.__name__.startswith("randomize_")
+    if parameters[:1] != ["env"] or "generator" not in parameters or is_class_there:
         return stock
-    names = [name for name in inspect.signature(stock).parameters if name not in ("env", "env_ids", "generator")]
+    names = [name for name in parameters if name not in ("env", "env_ids", "generator")]
 
     @functools.wraps(stock, updated=() if is_class else ("__dict__",))
-    def event(env: Any, env_ids: torch.Tensor | None, *values: Any, **settings: Any) -> None:
+    def event(env: Any, env_ids: Any, *values: Any, **settings: Any) -> None:
+        env_ids = None if env_ids is None else torch.as_tensor(env_ids, device=env.device)
         settings |= dict(zip(names[: len(values)], values, strict=True))
         if "generator" not in settings:
             on_gpu = env.device.type == "cuda"
@@ -91,6 +98,7 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "envs.mdp.actions.joint_actions": ("The stock actions of joints.", _TERMS_BY_KIND["actions"]),
     "envs.mdp.commands.velocity_command": ("The stock commands.", _TERMS_BY_KIND["commands"]),
     **{f"managers.{name}": ("Terms and managers.", _MANAGERS) for name in _MODULES_OF_MANAGERS},
+    "markers.config": ("Markers.", dict.fromkeys(_MARKERS, markers.VisualizationMarkersCfg())),
     "scene": ("The scene.", {"InteractiveScene": Scene}),
     "sensors": ("The sensors of the scene.", _SENSORS),
     **{f"sensors.{name}": ("A sensor.", _SENSORS) for name in ("camera", "contact_sensor", "imu", "ray_caster")},

@@ -6,9 +6,11 @@ from typing import Any
 
 from wheelleg_exp.state import Kept
 
+__path__: list[str] = []  # ``isaaclab`` makes the module ``markers.config``
 
-class VisualizationMarkersCfg:
-    """The settings of markers; all of them are accepted, and none has an effect."""
+
+class VisualizationMarkersCfg(Kept):
+    """The settings of markers. Any settings are accepted, but have no effect."""
 
     def __init__(self, **settings: Any) -> None:
         vars(self).update(settings)
@@ -16,6 +18,10 @@ class VisualizationMarkersCfg:
     def replace(self, **settings: Any) -> VisualizationMarkersCfg:
         """Return a copy with other settings."""
         return VisualizationMarkersCfg(**{**vars(self), **settings})
+
+    def copy(self) -> VisualizationMarkersCfg:
+        """Return a copy."""
+        return self.replace()
 
 
 class VisualizationMarkers(Kept):

@@ -10,6 +10,7 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Annotated, Any
@@ -76,7 +77,8 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-SHARED = "scale"  # An observation's function receives this key instead of the manager if it has this parameter.
+# If an observation function has the parameter ``SHARED``, it gets this key, and the manager does not scale its value.
+SHARED = "scale"
 
 # The config section ``recorders`` may be missing.
 OPTIONAL = "recorders"
@@ -106,8 +108,8 @@ MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "mi
 
 # Managers pass ``env``, ``env_ids``, and ``generator`` to terms, so the config of a term cannot set these arguments.
 INJECTED = ("env", "env_ids", "generator")
-_ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = {"cfg", "env"}  # Constructors of Isaac Lab's terms have the parameters ``cfg`` and ``env``.
+_ISAAC_LAB = ("wheelleg_exp.isaaclab.", "wheelleg_exp.isaaclab_tasks.")
+_CFG_ENV = ["cfg", "env"]  # Constructors of Isaac Lab's terms have the parameters ``cfg`` and ``env``.
 
 # ``_MOVED`` maps old ``_target_`` paths, which configs of earlier versions can contain, to the current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
@@ -173,12 +175,10 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
         message = "there are settings for this term, but the term is not selected (it has no _target_)"
         raise NotSelected(message, key=path, expected=f"the term in the task's list of {kind}, or no settings for it")
     reserved: Sequence[str] = RESERVED[kind]
-    if (
-        SHARED in reserved
-        and SHARED in node
-        and SHARED in signature_parameters(resolve_target(str(node[TARGET]), path))
-    ):
-        reserved = [name for name in reserved if name != SHARED]
+    if SHARED in reserved and SHARED in node:
+        with suppress(ConfigError):  # A wrong target is reported when the term is bound.
+            if SHARED in signature_parameters(resolve_target(str(node[TARGET]), path)):
+                reserved = [name for name in reserved if name != SHARED]
     fields = {k: v for k, v in node.items() if k in reserved}
     params = {k: v for k, v in node.items() if k not in reserved and k != TARGET}
     return TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), fields, params)
@@ -261,8 +261,14 @@ def resolve_class(name: Any) -> Any:
 
 
 def takes_cfg(target: Callable[..., Any]) -> bool:
-    """Return whether ``target`` is a class with the constructor ``(cfg, env)``, as in Isaac Lab."""
-    return inspect.isclass(target) and set(list(inspect.signature(target).parameters)[:2]) == _CFG_ENV
+    """Return whether ``target`` is a class with the constructor ``(cfg, env)``, as in Isaac Lab.
+
+    A subclass of an Isaac Lab class may also have the constructor ``(env, cfg)``.
+    """
+    if not inspect.isclass(target):
+        return False
+    first = list(inspect.signature(target).parameters)[:2]
+    return first == _CFG_ENV or (first == _CFG_ENV[::-1] and any(takes_cfg(kind) for kind in target.__mro__[1:-1]))
 
 
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
@@ -295,8 +301,9 @@ def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
     """Return whether a term's module imports ``wheelleg_exp.isaaclab``: such a term draws from global generators."""
     module = sys.modules.get(getattr(target, "__module__", ""))
     found = vars(module).values() if module is not None else ()
-    names = (str(getattr(v, "__name__" if inspect.ismodule(v) else "__module__", "")) for v in found)
-    return any(f"{name}.".startswith(f"{_ISAAC_LAB}.") for name in names)
+    names = [str(getattr(v, "__name__" if inspect.ismodule(v) else "__module__", "")) for v in found]
+    names += [str(getattr(v, "__globals__", {}).get("__name__", "")) for v in found]  # wrapped stock events
+    return any(f"{name}.".startswith(_ISAAC_LAB) for name in names)
 
 
 def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:

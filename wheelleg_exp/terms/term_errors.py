@@ -81,7 +81,8 @@ def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any
     for name in accepted:
         if name in binding.RESERVED[section] and name != binding.SHARED:
             message = f"'{term.target}' has a parameter '{name}', but this name is a field of the manager"
-            expected = "a target without parameters named " + ", ".join(binding.RESERVED[section])
+            others = [other for other in binding.RESERVED[section] if other != binding.SHARED]
+            expected = "a target without parameters named " + ", ".join(others)
             yield ConfigError(message, key=term.path, expected=expected)
             return
     known = [*accepted, *binding.RESERVED[section]]

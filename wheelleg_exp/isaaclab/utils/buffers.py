@@ -18,7 +18,7 @@ class CircularBuffer(Stateful):
     The first sample after a reset also fills the places of all older samples of its environment.
 
     Args:
-        max_len: number of samples that are kept.
+        max_len: number of stored samples.
         batch_size: number of environments, N.
         device: device of the samples.
     """
@@ -47,13 +47,13 @@ class CircularBuffer(Stateful):
         rows = slice(None) if batch_ids is None else batch_ids
         self._count[rows] = 0
         if self._samples is not None:
-            self._samples = self._samples.clone()
+            self._samples = self._samples.clone()  # A tensor from torch's inference mode cannot be changed in place.
             self._samples[rows] = 0
 
     def append(self, data: torch.Tensor) -> None:
         """Store a sample (N, ...) of each environment."""
         if len(data) != self.batch_size:
-            raise ValueError(f"the sample is of {len(data)} environments, expected {self.batch_size}")
+            raise ValueError(f"the sample has {len(data)} rows, expected {self.batch_size}")
         newest = data.to(self.device).unsqueeze(1)
         filled = newest.repeat_interleave(self.max_length, dim=1)
         if self._samples is not None:
@@ -65,7 +65,7 @@ class CircularBuffer(Stateful):
     def __getitem__(self, key: torch.Tensor) -> torch.Tensor:
         """Return the sample that was stored ``key`` calls before the last one, or the oldest, (N, ...)."""
         if len(key) != self.batch_size:
-            raise ValueError(f"the key is of {len(key)} environments, expected {self.batch_size}")
+            raise ValueError(f"the key has {len(key)} rows, expected {self.batch_size}")
         if self._samples is None or bool((self._count == 0).any()):
             raise RuntimeError("some environments have no sample: call append first")
         places = self.max_length - 1 - torch.minimum(key, self.current_length - 1)
@@ -73,7 +73,7 @@ class CircularBuffer(Stateful):
 
 
 class DelayBuffer(Stateful):
-    """Return samples a number of calls late, which each environment can have of its own; 0 at the start.
+    """A buffer that returns delayed samples. Each environment has its own delay, at first 0.
 
     Args:
         history_length: longest delay, in calls of ``compute``.
@@ -112,4 +112,4 @@ class DelayBuffer(Stateful):
     def compute(self, data: torch.Tensor) -> torch.Tensor:
         """Store a sample (N, ...), and return the delayed sample of each environment."""
         self._buffer.append(data)
-        return self._buffer[self.time_lags].clone()
+        return self._buffer[self.time_lags]

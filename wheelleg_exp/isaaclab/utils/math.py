@@ -2,7 +2,7 @@
 
 Quaternions are (w, x, y, z), angles are radians. Tensor arguments can have any leading dimensions, which are broadcast.
 Random functions use torch's global generator, which draws from a user-defined term's random stream while the term runs.
-TorchScript can compile the functions that it can compile in Isaac Lab.
+TorchScript can compile the functions that Isaac Lab compiles.
 """
 
 from __future__ import annotations
@@ -44,8 +44,11 @@ def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
     """Return the Hamilton product: the rotation ``q2`` followed by ``q1``."""
     if q1.shape != q2.shape:
         raise ValueError(f"quaternions of shapes {list(q1.shape)} and {list(q2.shape)} cannot be multiplied")
-    w1, v1, w2, v2 = q1[..., :1], q1[..., 1:], q2[..., :1], q2[..., 1:]
-    return torch.cat((w1 * w2 - (v1 * v2).sum(dim=-1, keepdim=True), w1 * v2 + w2 * v1 + cross(v1, v2)), dim=-1)
+    w1, x1, y1, z1 = q1.unbind(dim=-1)
+    w2, x2, y2, z2 = q2.unbind(dim=-1)
+    w, x = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2, w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2
+    y, z = w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2, w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2
+    return torch.stack((w, x, y, z), dim=-1)
 
 
 def quat_unique(q: torch.Tensor) -> torch.Tensor:
@@ -136,6 +139,7 @@ def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Return the quaternions (..., 4) of Rz(yaw) Ry(pitch) Rx(roll) for angles (...)."""
+    roll, pitch, yaw = torch.broadcast_tensors(roll, pitch, yaw)
     zero = torch.zeros_like(roll)
     about_x = torch.stack(((roll / 2.0).cos(), (roll / 2.0).sin(), zero, zero), dim=-1)
     about_y = torch.stack(((pitch / 2.0).cos(), zero, (pitch / 2.0).sin(), zero), dim=-1)
@@ -159,7 +163,7 @@ def euler_xyz_from_quat(
 def matrix_from_quat(quaternions: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (..., 3, 3) of quaternions, which can have any length except 0."""
     axes = torch.eye(3, dtype=quaternions.dtype, device=quaternions.device)
-    return quat_apply(normalize(quaternions).unsqueeze(-2), axes).transpose(-1, -2)
+    return quat_apply(normalize(quaternions).unsqueeze(-2), axes).transpose(-1, -2).contiguous()
 
 
 def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
@@ -191,7 +195,7 @@ def matrix_from_euler(euler_angles: torch.Tensor, convention: str) -> torch.Tens
 def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
     """Return the skew-symmetric matrices (n, 3, 3) of vectors (n, 3) or (3,)."""
     vec = vec.reshape(-1, 3)
-    return cross(vec.unsqueeze(-2), torch.eye(3, dtype=vec.dtype, device=vec.device)).mT
+    return cross(vec.unsqueeze(-2), torch.eye(3, dtype=vec.dtype, device=vec.device)).mT.contiguous()
 
 
 def combine_frame_transforms(

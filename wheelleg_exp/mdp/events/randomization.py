@@ -360,7 +360,8 @@ class randomize_imu_errors(TermBase):
     """Draw how the IMU is mounted on the root link, and the bias of its gyroscope. Not in Isaac Lab.
 
     The observations ``base_ang_vel``, ``projected_gravity`` and ``base_roll_pitch``, commands that integrate the yaw
-    rate, and sensors of the class ``Imu`` use the IMU's readings. Rewards and terminations use the true motion.
+    rate, and sensors of the class ``Imu`` on the root link show these errors. Rewards and terminations that read no
+    sensor use the true motion.
 
     Args:
         tilt_range: rotation of the IMU about its axes: ``roll``, ``pitch``, ``yaw``, rad.

@@ -62,7 +62,8 @@ class Imu(SensorBase):
 
     Accelerations are finite differences of the IMU's velocities over the last physics step. Velocities that events
     write have no effect on the measured accelerations. After a reset, accelerations are 0 until the next physics step.
-    All vectors show the robot's IMU errors (``randomize_imu_errors``) and a sloping floor; ``quat_w`` does not.
+    Measurements with the suffix ``_b`` show a sloping floor, and on the root link also the tilt and the bias of
+    ``randomize_imu_errors``.
 
     Args:
         body_name: expression of the body.
@@ -155,18 +156,20 @@ class Imu(SensorBase):
     def _show(self, due: torch.Tensor | None) -> None:
         """Write new measurements to ``data`` in the environments of the mask ``due``; None means all environments."""
         body = self._mount.rot_w
-        rot, robot = body @ self._turn, self._robot.data
+        robot = self._robot.data
+        has_errors = robot.has_imu_errors and self._mount.index == 0
+        rot = (body @ robot.imu_tilt if has_errors else body) @ self._turn
         velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)
-        gravity, bias = self._gravity.expand_as(velocity[0]), self._gravity_bias
-        if robot.has_imu_errors:
-            rot = body @ robot.imu_tilt @ self._turn
-            gravity, bias = robot.gravity_dir_w, bias - bias.norm() * (robot.gravity_dir_w - self._gravity)
+        gravity = robot.gravity_dir_w
+        bias = self._gravity_bias - self._gravity_bias.norm() * (gravity - self._gravity)
         felt = acceleration[0] + bias
         vectors = torch.stack((*velocity, felt, acceleration[1], gravity), dim=1)
         lin_vel, ang_vel, lin_acc, ang_acc, gravity = (vectors @ rot).unbind(dim=1)
         error = self._bias_b + self._noise_b
         seen = {"projected_gravity_b": gravity, "lin_vel_b": lin_vel, "ang_acc_b": ang_acc}
-        seen |= {"ang_vel_b": ang_vel + error[:, 3:] + robot.gyro_bias, "lin_acc_b": lin_acc + error[:, :3]}
+        seen |= {"ang_vel_b": ang_vel + error[:, 3:], "lin_acc_b": lin_acc + error[:, :3]}
+        if has_errors:
+            seen["ang_vel_b"] = seen["ang_vel_b"] + robot.gyro_bias
         seen["pos_w"] = self._mount.pos_w + body @ self._offset_pos
         seen["quat_w"] = rotation.quat_mul(self._mount.quat_w, self._offset_quat.expand(len(body), 4))
         for name, value in seen.items():

@@ -264,8 +264,8 @@ class Flat(SubTerrain):
 class PyramidStairs(SubTerrain):
     """Terrain tile of stairs that rise from all four sides of the tile to a level top.
 
-    The outermost ring has the height 0. In Isaac Lab, it is one step high, and the same numbers give one or two levels
-    more.
+    The outermost ring has the height 0. In Isaac Lab, the outermost ring is one step higher (``inverted``: lower), and
+    the same settings give one or two more steps.
 
     Args:
         step_height_range: step height of the easiest and the hardest tile, m.
@@ -294,7 +294,7 @@ class RandomGrid(SubTerrain):
     Args:
         grid_width: edge of a square, m.
         grid_height_range: a of the easiest and the hardest tile, m.
-        platform_width: edge of the level square in the centre, m; its height is 0 here, and a in Isaac Lab.
+        platform_width: edge of the level square in the centre, m. Its height is 0; in Isaac Lab, it is ``a``.
     """
 
     grid_width: Positive

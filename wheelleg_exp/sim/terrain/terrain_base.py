@@ -68,8 +68,9 @@ class TerrainBase(Kept):
     Attributes:
         env_origins: origins of the environments, m, (N, 3).
         terrain_origins: origins of the tiles, m, (rows, cols, 3); None on a ground without tiles.
-        terrain_levels: row of each environment's tile, (N,) long; higher rows are harder; 0 without tiles.
-        terrain_types: column of each environment's tile, (N,) long; 0 without tiles.
+        terrain_levels: row of each environment's tile, (N,) long; higher rows are harder; 0 without tiles. As in Isaac
+            Lab, a plane does not have this attribute: terms test whether it exists.
+        terrain_types: column of each environment's tile, (N,) long; 0 without tiles. A plane does not have it.
         max_terrain_level: number of rows.
         size: edges of a tile along x and y, m; infinite without tiles.
         border_width: width of the ground around the tiles, m.
@@ -235,7 +236,8 @@ class Plane(TerrainBase):
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
         super().place(num_envs, spacing, device, stream)
-        del self.terrain_levels, self.terrain_types  # as in Isaac Lab: terms test whether they exist
+        if self.terrain_origins is None:
+            del self.terrain_levels, self.terrain_types
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         look: dict[str, Any] = {"friction": [self.dynamic_friction, 0.005, 0.0001], "rgba": [0.35, 0.38, 0.42, 1]}
