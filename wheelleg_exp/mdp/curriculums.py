@@ -158,7 +158,7 @@ def terrain_levels_vel(
     """
     terrain = env.scene.terrain
     if terrain.terrain_origins is None:
-        return torch.zeros(())
+        return torch.zeros((), device=env.device)
     position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
     distance = torch.linalg.vector_norm(position - env.scene.env_origins[env_ids, :2], dim=1)
     speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[env_ids, :2], dim=1)

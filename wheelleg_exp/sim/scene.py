@@ -78,8 +78,7 @@ class Scene(Kept):
         for geom in spec.geoms:
             if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
                 geom.priority = _ROBOT_PRIORITY
-                own = torch.tensor(geom.friction[0], dtype=torch.float64)
-                geom.friction[0] = float(combined_friction(own, ground, robot.friction_combine_mode))
+                geom.friction[0] = combined_friction(geom.friction[0], ground, robot.friction_combine_mode)
         for name, actuator in actuators.items():
             with blamed(f"{ACTUATORS_KEY}.{name}", actuator):
                 actuator.read_files(mjcf.parent, f"{ACTUATORS_KEY}.{name}", self.device)

@@ -222,13 +222,13 @@ def grid_origins(num_envs: int, spacing: float, device: torch.device | None = No
     return origins
 
 
-def combined_friction(own: torch.Tensor, ground: float, mode: CombineMode) -> torch.Tensor:
-    """Return the friction coefficient of a contact from those of two materials, as PhysX combines them."""
+def combined_friction(own: Any, ground: float, mode: CombineMode) -> Any:
+    """Return the friction of a contact, as PhysX combines it, for the robot's friction ``own`` (torch or NumPy)."""
     if mode == "average":
         return (own + ground) / 2
     if mode == "multiply":
         return own * ground
-    return own.clamp(max=ground) if mode == "min" else own.clamp(min=ground)
+    return own.clip(max=ground) if mode == "min" else own.clip(min=ground)
 
 
 class Plane(TerrainBase):
