@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.isaaclab.envs.mdp import joint_pos_limit_normalized as limited
 from wheelleg_exp.isaaclab.managers import ManagerTermBase, SceneEntityCfg
 from wheelleg_exp.isaaclab.utils import string
 from wheelleg_exp.isaaclab.utils.buffers import CircularBuffer, DelayBuffer
@@ -129,6 +130,7 @@ IDIOMS = [
     ("GRAVITY_VEC_W", lambda e: data(e).GRAVITY_VEC_W[1].tolist(), [0.0, 0.0, -1.0]),
     ("default_mass", lambda e: data(e).default_mass.sum(dim=1)[0].item(), lambda found: found > 0.1),
     ("joint_stiffness", lambda e: data(e).joint_stiffness, shape(N, J)),
+    ("joint_pos_limit_normalized", lambda e: limited(e, resolved(e, joint_names=".*_hip")), shape(N, 2)),
     # the utilities
     ("resolve_matching_names", lambda e: string.resolve_matching_names("b.*", ["ab", "ba", "bc"])[1], ["ba", "bc"]),
 ]
@@ -168,7 +170,7 @@ def test_ranges_of_commands_are_set_by_attribute(make_env):
 
 
 def test_there_are_as_many_idioms_as_the_page_states_and_the_config_is_read_only(env):
-    assert len(IDIOMS) == 55
+    assert len(IDIOMS) == 56
     with pytest.raises(ConfigError, match=r"env.rewards.alive.weight: .*config is read-only.*get_term_cfg"):
         env.cfg.rewards.alive.weight = 2.0
     with pytest.raises(AttributeError, match=r"env.rewards.alife: .*did you mean 'alive'"):

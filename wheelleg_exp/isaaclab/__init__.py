@@ -23,7 +23,7 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.isaaclab_attributes import Simulation
 from wheelleg_exp.isaaclab import managers, markers, utils  # The modules of ``utils`` need their package.
-from wheelleg_exp.mdp import modifiers, noise
+from wheelleg_exp.mdp import modifiers, noise, observations
 from wheelleg_exp.sim import actuators, sensors
 from wheelleg_exp.sim.articulation_data import ArticulationData
 from wheelleg_exp.sim.robot import Robot
@@ -74,11 +74,17 @@ def _with_isaac_labs_parameters(stock: Any) -> Any:
     return event
 
 
+@functools.wraps(observations.joint_pos_limit_normalized, updated=())
+def _joint_pos_limit_normalized(env: Any, asset_cfg: Any = managers.SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
+    return observations.joint_pos_limit_normalized(env, asset_cfg)(env)
+
+
 _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _EVENTS = _TERMS_BY_KIND["events"]
 _EVENTS.update({name: _with_isaac_labs_parameters(event) for name, event in _EVENTS.items()})
+_TERMS_BY_KIND["observations"]["joint_pos_limit_normalized"] = _joint_pos_limit_normalized
 TERMS = {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}
 _ENVS = dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)
 _SENSORS = {**_public(sensors), "TiledCamera": sensors.Camera}

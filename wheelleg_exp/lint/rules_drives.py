@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
-import torch
+import numpy as np
 
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
@@ -67,7 +67,7 @@ def wheel_friction(case: Case) -> float:
     ground = float(case.env["scene"]["terrain"][f"{source}_friction"])
     materials = case.terms("events", "events.randomize_rigid_body_material")
     mode = case.env["robot"].get("friction_combine_mode", "average")
-    largest = [torch.tensor(float(term.node[f"{source}_friction_range"][1])) for term in materials]
+    largest = [np.float64(term.node[f"{source}_friction_range"][1]) for term in materials]
     found = [float(combined_friction(own, ground, mode)) for own in largest]
     return max(found, default=case.facts.friction)
 

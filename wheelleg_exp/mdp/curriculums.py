@@ -417,8 +417,6 @@ class terrain_levels_by_distance(TermBase):
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float | torch.Tensor]:
         terrain = env.scene.terrain
-        if terrain.terrain_origins is None:
-            return {}
         length = env.episode_length_buf[env_ids]
         lived = length > 0
         failed = env.termination_manager.terminated[env_ids] & lived
@@ -430,6 +428,8 @@ class terrain_levels_by_distance(TermBase):
         terrain.update_env_origins(env_ids, up, down)
         fill_rows(self._commanded, env_ids, 0.0)
         fill_rows(self._covered, env_ids, 0.0)
+        if terrain.terrain_origins is None:
+            return {}
         levels = terrain.terrain_levels.float()
         mean = float(levels.mean())
         if mean > self._best:

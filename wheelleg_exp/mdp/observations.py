@@ -10,7 +10,7 @@ import torch
 
 from wheelleg_exp.constraints import NonNegative, NotEmpty, Positive
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
@@ -90,11 +90,25 @@ def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool =
     return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
 
 
-def joint_pos_limit_normalized(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low); NaN without limits."""
-    data, ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
-    low, high = picked(data.soft_joint_pos_limits, ids).unbind(dim=2)
-    return 2.0 * (picked(data.joint_pos_measured, ids) - (low + high) / 2) / (high - low)
+class joint_pos_limit_normalized(TermBase):
+    """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low).
+
+    Args:
+        asset_cfg: the robot and its joints, each of them limited.
+    """
+
+    settings = ("_ids",)
+
+    def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
+        self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
+        if not picked(self._data.soft_joint_pos_limits, asset_cfg.joint_ids).isfinite().all():
+            message = "the position of a joint without limits cannot be normalised"
+            raise ConfigError(message, key="asset_cfg.joint_names", expected="limited joints")
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        del env
+        low, high = picked(self._data.soft_joint_pos_limits, self._ids).unbind(dim=2)
+        return 2.0 * (picked(self._data.joint_pos_measured, self._ids) - (low + high) / 2) / (high - low)
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -68,6 +68,11 @@ class CircularBuffer(Stateful):
             raise ValueError(f"the key has {len(key)} rows, expected {self.batch_size}")
         if self._samples is None or bool((self._count == 0).any()):
             raise RuntimeError("some environments have no sample: call append first")
+        return self.latest(key)
+
+    def latest(self, key: torch.Tensor) -> torch.Tensor:
+        """Return the same as ``self[key]``, but without a check, which would wait for the GPU."""
+        assert self._samples is not None
         places = self.max_length - 1 - torch.minimum(key, self.current_length - 1)
         return self._samples[torch.arange(self.batch_size, device=self.device), places]
 
@@ -112,4 +117,4 @@ class DelayBuffer(Stateful):
     def compute(self, data: torch.Tensor) -> torch.Tensor:
         """Store a sample (N, ...), and return the delayed sample of each environment."""
         self._buffer.append(data)
-        return self._buffer[self.time_lags]
+        return self._buffer.latest(self.time_lags)

@@ -161,9 +161,11 @@ def _minus_default(name: str, default: str) -> Callable[[ManagerBasedRLEnv, Term
 
 
 def _within_limits(env: ManagerBasedRLEnv, term: Term) -> Spec:
-    found = _of_joints(env, term, "joint_pos")
-    low, high = env.scene.robot.layout.soft_joint_pos_limits[found["columns"]].unbind(dim=1)
-    return {"function": "within_limits", **found, "middle": ((low + high) / 2).tolist(), "range": (high - low).tolist()}
+    ids = torch.arange(len(env.scene.robot.joint_names))[term.func._ids].tolist()  # type: ignore[attr-defined]
+    low, high = env.scene.robot.layout.soft_joint_pos_limits[ids].unbind(dim=1)
+    joints = {"columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
+    span = {"middle": ((low + high) / 2).tolist(), "range": (high - low).tolist()}
+    return {"function": "within_limits", "reading": "joint_pos", **joints, **span}
 
 
 def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:

@@ -105,6 +105,7 @@ class Imu(SensorBase):
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), device=device)
         self._gravity = torch.nn.functional.normalize(gravity, dim=0)
         self._gravity_bias = torch.tensor([float(part) for part in self._bias], device=device)
+        self._weight = self._gravity_bias.norm()
         self.data = ImuData(n, device)
         self._before = torch.zeros(n, 6, device=device)
         self._acc = torch.zeros(n, 6, device=device)
@@ -161,8 +162,7 @@ class Imu(SensorBase):
         rot = (body @ robot.imu_tilt if has_errors else body) @ self._turn
         velocity, acceleration = self._before.split(3, dim=1), self._acc.split(3, dim=1)
         gravity = robot.gravity_dir_w
-        bias = self._gravity_bias - self._gravity_bias.norm() * (gravity - self._gravity)
-        felt = acceleration[0] + bias
+        felt = acceleration[0] + self._gravity_bias - self._weight * (gravity - self._gravity)
         vectors = torch.stack((*velocity, felt, acceleration[1], gravity), dim=1)
         lin_vel, ang_vel, lin_acc, ang_acc, gravity = (vectors @ rot).unbind(dim=1)
         error = self._bias_b + self._noise_b
