@@ -54,6 +54,14 @@ def yaml_value(data: bytes | str) -> Any:
     return _read(data, lambda: _bounded(yaml.load(data, Loader=_PlainLoader)), aliases=False)
 
 
+def tagged_yaml_value(data: bytes | str) -> Any:
+    """Return the value of a YAML text with Python's tags, such as Isaac Lab's ``env.yaml``, as plain Python.
+
+    No tag is followed: a tuple becomes a list, a whole slice null, a name its text, and any other object its content.
+    """
+    return _read(data, lambda: _bounded(yaml.load(data, Loader=_TaggedLoader)), aliases=True)
+
+
 def yaml_tree(data: bytes | str) -> yaml.Node | None:
     """Return the nodes of a YAML text, each with its line number, as a tree."""
     return _read(data, lambda: yaml.compose(data, Loader=_LOADER), aliases=True)
@@ -76,6 +84,23 @@ class _PlainLoader(_LOADER):
                 raise Unreadable(f"the YAML key '{key.value}' is repeated", key.start_mark.line + 1)
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
         return super().construct_mapping(node, deep=deep)
+
+
+class _TaggedLoader(_PlainLoader):
+    pass
+
+
+def _untagged(loader: Any, suffix: str, node: yaml.Node) -> Any:
+    if isinstance(node, yaml.MappingNode):
+        return loader.construct_mapping(node, deep=True)
+    if isinstance(node, yaml.SequenceNode):
+        content = loader.construct_sequence(node, deep=True)
+        return None if suffix.endswith("slice") and not any(content) else content
+    return suffix.split(":", 1)[1] if suffix.startswith("python/name:") else loader.construct_scalar(node)
+
+
+_TaggedLoader.add_multi_constructor("tag:yaml.org,2002:", _untagged)
+_TaggedLoader.add_multi_constructor("!", _untagged)
 
 
 def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:

@@ -69,6 +69,7 @@ COMMANDS: dict[str, Command] = {
     "diff": Command("configs.diff", "compare two runs, tasks or lists of overrides by meaning"),
     "list": Command("list", "list tasks, terms, groups, options or runs"),
     "new": Command("new", "create your own project: a robot, a task, a term and a test", project=False),
+    "import": Command("import_run", "make a project and a run from an Isaac Lab run, with its policy", project=False),
     "completion": Command("completion", "print the shell's completion script", project=False),
 }
 

@@ -124,16 +124,10 @@ class Created:
     accepted: dict[str, str]
 
 
-def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
-    """Create a project in the new folder ``place``; the folder's name is the name of the project.
-
-    ``source`` is the robot's USD or URDF file, by default the file of the stock robot. If ``allow_missing`` is true,
-    files of the robot's colliders may be missing. An invalid name, place, or robot file raises WheellegError, and the
-    partly created project is removed.
-    """
+def require_place(place: Path) -> Path:
+    """Return the absolute path of a new project; raise NameTaken if no project can be created there."""
     path = Path(place).expanduser().absolute()
-    name = path.name
-    require_name(name)
+    require_name(path.name)
     _require_free(path)
     if not path.parent.is_dir():
         raise NameTaken("the parent folder of the new project does not exist", key=str(path.parent))
@@ -142,13 +136,31 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
         beside = Path(os.path.relpath(home.parent / path.name))
         message = "a project cannot be inside the package wheelleg_exp itself"
         raise NameTaken(message, key=str(path), nearest=str(beside))
-    if source is not None and not source.is_file():
+    return path
+
+
+def require_robot_file(source: Path) -> None:
+    """Raise AssetError if the robot file of a new project does not exist."""
+    if not source.is_file():
         folder = source.absolute().parent
         names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
         near = None if source.is_dir() else nearest_name(source.name, names)
         nearest = str(source.with_name(near)) if near else None
         message = "the path is a folder" if source.is_dir() else "there is no such file"
         raise AssetError(message, key=f"--robot {source}", expected="a USD or URDF file", nearest=nearest)
+
+
+def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
+    """Create a project in the new folder ``place``; the folder's name is the name of the project.
+
+    ``source`` is the robot's USD or URDF file, by default the file of the stock robot. If ``allow_missing`` is true,
+    files of the robot's colliders may be missing. An invalid name, place, or robot file raises WheellegError, and the
+    partly created project is removed.
+    """
+    path = require_place(place)
+    name = path.name
+    if source is not None:
+        require_robot_file(source)
     # First write the project to a temporary folder, so that an error leaves no incomplete project.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name

@@ -85,6 +85,16 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     return results
 
 
+def record_untrained(training: Training, display: Display) -> None:
+    """Write the files of a run whose networks come from elsewhere: its iteration 0 only records them."""
+    trainer, agent = training.trainer, training.recipe.config["agent"]
+    with training.lock.held(), training.manifest.finishing() as results, _outputs(training, display) as outputs:
+        trainer.iteration = 1
+        outputs.write(Iteration(0, {}, 0), due=True)
+        results |= {"checkpoint": outputs.checkpoint(0), "iterations": 1, "seconds": 0.0}
+        export_policy(training.directory, trainer, agent)
+
+
 def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
     """Yield the training iterations, and count the episodes that ended because of a NaN or inf."""
     # If an iteration fails, save the failed state and the checkpoint of the last finished iteration.

@@ -32,10 +32,12 @@ class CommandSettings:
     Attributes:
         ranges: [low, high] by axis as attributes; a range that is set applies from the next draw.
         resampling_time_range: shortest and longest time between two draws, s.
+        limit_ranges: the widest ranges that a curriculum may set, like ``ranges``.
     """
 
     ranges: _Ranges
     resampling_time_range: tuple[float, float]
+    limit_ranges: _Ranges
 
 
 class RangedCommand(CommandTerm):
@@ -46,11 +48,12 @@ class RangedCommand(CommandTerm):
     """
 
     ranges: dict[str, Any]
+    limit_ranges: dict[str, Any] = {}  # noqa: RUF012
 
     @property
     def cfg(self) -> CommandSettings:
         """Settings of the command under their names in Isaac Lab; the attributes of ``cfg.ranges`` can be set."""
-        return CommandSettings(_Ranges(self.ranges), self._time_range)
+        return CommandSettings(_Ranges(self.ranges), self._time_range, _Ranges(self.limit_ranges))
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
         """Store the ranges [low, high] of the command's axes; an axis without a range gets the value 0."""

@@ -42,6 +42,7 @@ class UniformVelocityCommand(RangedCommand):
         heading_command: whether headings are drawn.
         heading_control_stiffness: k, 1/s.
         asset_name: the member of the scene that is commanded.
+        limit_ranges: widest ranges, for terms of other projects that read ``command.cfg.limit_ranges``.
     """
 
     def __init__(
@@ -55,12 +56,14 @@ class UniformVelocityCommand(RangedCommand):
         heading_command: bool = False,
         heading_control_stiffness: NonNegative = 1.0,
         asset_name: str = "robot",
+        limit_ranges: Mapping[VelocityAxis, Interval | None] | None = None,
     ) -> None:
         super().__init__(env, resampling_time_range, ("error_vel_xy", "error_vel_yaw"), generator)
         self.robot = member(env.scene, asset_name, "asset_name")
         if ranges.get("heading") is not None and not heading_command:
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
         self.take_ranges(ranges, get_args(VelocityAxis))
+        self.limit_ranges = {axis: list(pair) for axis, pair in (limit_ranges or {}).items() if pair is not None}
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness

@@ -1,0 +1,133 @@
+"""Each number of an Isaac Lab config changes the imported config, or the report names it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_terms
+
+from wheelleg_exp.asset.convert_robot import read
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent
+from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
+from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
+from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, NOT_NEEDED, RULE, ImportReport
+from wheelleg_exp.plain_data import tagged_yaml_value
+
+DOFS = {dof.name: dof for body in read(ROBOT, "auto", {})[0].bodies for dof in body.dofs}
+
+
+def converted(env: Any, agent: Any, **names: str) -> tuple[EnvMapping, dict[str, Any], ImportReport]:
+    """Convert a config that is given as text or as a tree."""
+    report = ImportReport()
+    tree = tagged_yaml_value(env) if isinstance(env, str) else env
+    mapping = EnvMapping(tree, DOFS, lambda path, params: None, report, names)
+    mapping.convert()
+    settings = tagged_yaml_value(agent) if isinstance(agent, str) else agent
+    return mapping, convert_agent(settings, list(mapping.env["observations"]), None, report), report
+
+
+def numbers(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of each number in a tree."""
+    parts = tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list) else ()
+    for key, value in parts:
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            yield (*path, key)
+        yield from numbers(value, (*path, key))
+
+
+TREES = {"env": tagged_yaml_value(ENV), "agent": tagged_yaml_value(AGENT)}
+# These numbers have no effect.
+IGNORED = ("viewer", "intensity", "min_step_count_between_reset")  # the last acts only in events at a reset
+PATHS = [(name, path) for name, tree in TREES.items() for path in numbers(tree)]
+
+
+@pytest.mark.parametrize("name, path", PATHS, ids=lambda value: ".".join(map(str, value)) if value else "")
+def test_no_number_is_lost(name: str, path: tuple[Any, ...]) -> None:
+    trees = copy.deepcopy(TREES)
+    node = trees[name]
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = node[path[-1]] * 2 + 3
+    before, after = converted(TREES["env"], TREES["agent"]), converted(trees["env"], trees["agent"])
+    results = [(m.env, m.robot, m.seed, agent, report.rows) for m, agent, report in (before, after)]
+    assert results[0] != results[1] or any(word in path for word in IGNORED) or (name, path) == ("agent", ("seed",))
+
+
+def test_values() -> None:
+    mapping, agent, report = converted(ENV, AGENT)
+    env, robot = mapping.env, mapping.robot
+    assert env["sim"] == {"dt": 0.005, "gravity": [0.0, 0.0, -9.81]} and env["decimation"] == 4
+    assert robot["friction_combine_mode"] == "multiply" and robot["self_collisions"] is False
+    legs, wheels = robot["actuators"]["legs"], robot["actuators"]["wheels"]
+    assert legs["_target_"].endswith("DCMotor") and legs["saturation_effort"] == 4.0 and legs["friction"] == 0.01
+    assert legs["stiffness"] == {".*01": 3.0, ".*02": 2.5} and legs["velocity_limit"] == 30.0
+    assert wheels["effort_limit"] == 9.0
+    limits = {name: dof.max_velocity for name, dof in DOFS.items() if name.endswith("03")}
+    assert wheels["velocity_limit"] == next(iter(limits.values()))  # from the robot's file
+    group = env["observations"]["policy"]
+    assert list(group["terms"]) == ["base_ang_vel", "gravity", "command", "joint_pos", "joint_vel", "actions"]
+    noise = group["terms"]["base_ang_vel"]["noise"]
+    assert noise == {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "operation": "add", "n_min": -0.2, "n_max": 0.2}
+    assert group["terms"]["joint_pos"]["asset_cfg"]["joint_names"] == [".*0[12]"]
+    event = env["events"]["physics_material"]
+    assert event["static_friction_range"] == [0.9, 0.9] and event["dynamic_friction_range"] == [0.8, 0.8]
+    assert env["events"]["push"]["interval_range_s"] == [2.0, 3.0] and "interval_range_s" not in env["events"]["reset_base"]
+    assert agent["algorithm"]["gamma"] == 0.98 and agent["actor"]["hidden_dims"] == [32, 16]
+    assert agent["actor"]["distribution_cfg"]["init_std"] == 0.8 and agent["obs_groups"]["critic"] == ["policy"]
+    outcomes = {row.key: row.outcome for row in report.rows}
+    expected = {"rewards.own": CODE, "scene.cube": DROPPED, "scene.sky_light": NOT_NEEDED, "viewer": NOT_NEEDED}
+    expected |= {"sim.physx": DROPPED, "sim.physics_material": RULE, "scene.robot.actuators.wheels.velocity_limit": ASSUMED}
+    assert {key: outcomes.get(key) for key in expected} == expected
+
+
+def test_isaac_lab_3_has_other_quaternions() -> None:
+    text = changed(changed(ENV, "sim.physx", None), "sim.physics", {"solver": "newton"})
+    mapping, _, report = converted(changed(text, "scene.robot.init_state.rot", [0.1, 0.2, 0.3, 0.9]), AGENT)
+    assert mapping.robot["init_state"]["rot"] == [0.9, 0.1, 0.2, 0.3]
+    assert any(row.key == "scene.robot.init_state.rot" and row.outcome == RULE for row in report.rows)
+
+
+def test_other_names() -> None:
+    text = ENV.replace("[lr]01", "(left|right)_hip").replace("'[lr]02'", "left_knee: -1.885, right_knee")
+    mapping, _, _ = converted(text, AGENT, left_hip="l01", right_hip="r01", left_knee="l02", right_knee="r02")
+    pose = mapping.robot["init_state"]["joint_pos"]
+    assert pose == {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885, ".*03": 0.0}
+
+
+def test_terrain_tiles() -> None:
+    tiles = {
+        "slope": {"function": "isaaclab.terrains.height_field.hf_terrains:pyramid_sloped_terrain", "proportion": 0.5,
+                  "slope_range": [0.0, 0.4], "platform_width": 2.0, "inverted": False, "border_width": 0.25},
+        "pit": {"function": "isaaclab.terrains.trimesh.mesh_terrains:pit_terrain", "proportion": 0.2,
+                "pit_depth_range": [0.05, 0.2], "platform_width": 1.0, "double_pit": True},
+        "star": {"function": "isaaclab.terrains.trimesh.mesh_terrains:star_terrain", "proportion": 0.3},
+    }  # fmt: skip
+    generator = {"size": [8.0, 8.0], "num_rows": 10, "num_cols": 20, "curriculum": True, "sub_terrains": tiles}
+    text = changed(changed(ENV, "scene.terrain.terrain_type", "generator"), "scene.terrain.terrain_generator", generator)
+    mapping, _, report = converted(text, AGENT)
+    made = mapping.env["scene"]["terrain"]["sub_terrains"]
+    assert made["slope"]["slope_range"] == pytest.approx([0.0, 0.3805063771])  # atan(0.4)
+    assert made["pit"]["box_height_range"] == [0.05, 0.2] and made["pit"]["inverted"] and made["pit"]["double_box"]
+    assert [row.key.rsplit(".", 1)[-1] for row in report.of(DROPPED) if "star" in row.key] == ["star"]
+
+
+@pytest.mark.parametrize("key", ["decimation", "scene.robot", "episode_length_s"])
+def test_missing_parts(key: str) -> None:
+    with pytest.raises(ConfigError):
+        converted(changed(ENV, key, None), AGENT)
+
+
+def test_author_terms(tmp_path: Path) -> None:
+    terms = AuthorTerms(write_terms(tmp_path), "mine")
+    assert terms.target("my_lab.tasks.mdp.rewards:tilt_cost") == "mine.rewards.tilt_cost"
+    assert terms.target("my_lab.tasks.mdp.rewards:absent") is None
+    modules = terms.modules()
+    assert set(modules) == {"rewards", "helpers"} and "unused" not in modules["rewards"]
+    assert "pandas" not in modules["rewards"] and "FACTOR = 0.5" in modules["rewards"]
+    assert "from wheelleg_exp.isaaclab.managers import SceneEntityCfg" in modules["rewards"]
+    assert "from mine.helpers import squared as power_two" in modules["rewards"]

@@ -1,0 +1,245 @@
+"""Import run folders completely: play, train further, and refuse broken folders without leaving files."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, write_terms
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.isaaclab_import.import_report import CODE, RULE
+from wheelleg_exp.isaaclab_import.import_run import import_run
+from wheelleg_exp.rl import checkpoint as checkpoints
+from wheelleg_exp.run.run_directory import RunDirectory
+
+
+def test_an_imported_run_plays_and_trains_further(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, policy = write_run(tmp_path / "run")
+    made = import_run(folder, ROBOT, tmp_path / "flip0", terms=write_terms(tmp_path / "lab"))
+    assert made.run is not None and not made.report.of(CODE)
+    assert [row.key for row in made.report.rows if row.outcome == RULE and "rewards.own" in row.key] == ["rewards.own"]
+    run = RunDirectory.open(made.run, tmp_path)
+    state = checkpoints.load(run.latest_checkpoint())
+    torch.testing.assert_close(state["actor_state_dict"]["mlp.0.weight"], policy.actor[0].weight.detach())
+    torch.testing.assert_close(state["critic_state_dict"]["mlp.4.bias"], policy.critic[4].bias.detach())
+    saved = torch.load(folder / "model_700.pt", weights_only=True)["optimizer_state_dict"]["state"]
+    moments = state["optimizer_state_dict"]["state"]
+    assert len(moments) == len(saved) == 13
+    torch.testing.assert_close(moments[5]["exp_avg"], saved[5]["exp_avg"])
+    monkeypatch.chdir(made.path)
+    exported = torch.jit.load(run.exported / "policy.pt")
+    x = torch.randn(5, 25)
+    torch.testing.assert_close(exported(x), policy.actor(x), atol=1e-5, rtol=1e-5)
+    assert main(["play", str(made.run), "env.episode_length_s=0.4", "env.num_envs=2"]) == 0
+    assert main(["resume", str(made.run), "agent.max_iterations=2"]) == 0
+    assert main(["check", "task=flip0"]) == 0
+    text = (made.path / "README.md").read_text()
+    assert "rigid_object" not in text and "scene.cube" in text and "{{" not in text
+
+
+def test_observations_are_isaac_labs(tmp_path: Path) -> None:
+    from wheelleg_exp.build import build_env
+    from wheelleg_exp.config.composing.compose import compose
+
+    folder, _ = write_run(tmp_path / "run", ENV.replace("enable_corruption: true", "enable_corruption: false"))
+    made = import_run(folder, ROBOT, tmp_path / "flip2")
+    composed = compose(["task=flip2", "env.num_envs=3", "env.rewards.air_time=null"], config_dirs=[made.path / "configs"])
+    env = build_env(composed.config, composed.asset_roots)
+    env.reset()
+    for _ in range(7):
+        actions = torch.rand(3, 6) - 0.5
+        found = env.step(actions)[0]["policy"]
+    data, command = env.scene.robot.data, env.command_manager.get_command("base_velocity")
+    names = env.scene.robot.joint_names
+    legs = [index for index, name in enumerate(names) if not name.endswith("03")]
+    default = torch.tensor([{"01": 0.9599, "02": -1.885, "03": 0.0}[name[1:]] for name in names])
+    w, x, y, z = data.root_quat_w.unbind(-1)
+    gravity = torch.stack((2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1), -1)
+    parts = (0.25 * data.root_ang_vel_b, gravity, command, (data.joint_pos - default)[:, legs], 0.05 * data.joint_vel, actions)
+    torch.testing.assert_close(found, torch.cat(parts, -1), atol=1e-5, rtol=1e-5)
+    assert names == ["l01", "r01", "l02", "r02", "l03", "r03"]
+
+
+def test_without_a_policy(tmp_path: Path) -> None:
+    folder, _ = write_run(tmp_path / "run")
+    (folder / "model_700.pt").unlink()
+    made = import_run(folder / "params/env.yaml", ROBOT, tmp_path / "flip3")
+    assert made.run is None and [row.key for row in made.report.of(CODE)] == ["rewards.own"]
+
+
+UNITREE = {
+    "joint_ids_map": [0, 3, 1, 4, 2, 5],
+    "step_dt": 0.02,
+    "stiffness": [3.0, 3.0, 0.0, 3.0, 3.0, 0.0],
+    "damping": [0.3, 0.3, 1.0, 0.3, 0.3, 1.0],
+    "default_joint_pos": [0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0],
+    "commands": {"base_velocity": {"ranges": {"lin_vel_x": [-0.5, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-0.2, 0.2]}}},
+    "actions": {"JointPositionAction": {"joint_names": [".*"], "scale": [0.25] * 6, "offset": [0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0]}},
+    "observations": {
+        "base_ang_vel": {"params": {}, "clip": None, "scale": [0.2, 0.2, 0.2], "history_length": 2},
+        "velocity_commands": {"params": {"command_name": "base_velocity"}, "scale": [1.0, 1.0, 1.0], "history_length": 2},
+        "last_action": {"params": {}, "scale": [1.0] * 6, "history_length": 1},
+    },
+}  # fmt: skip
+RL_SAR = {
+    "flip/robot_lab": {
+        "joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"],
+        "joint_mapping": [0, 1, 2, 3, 4, 5],
+        "wheel_indices": [4, 5],
+        "dt": 0.005,
+        "decimation": 4,
+        "observations": ["ang_vel", "gravity_vec", "commands", "dof_pos", "dof_vel", "actions"],
+        "observations_history": [1, 0],
+        "observations_history_priority": "time",
+        "clip_obs": 100.0,
+        "clip_actions_lower": [-100.0] * 6,
+        "clip_actions_upper": [100.0] * 6,
+        "rl_kp": [3.0, 3.0, 3.0, 3.0, 0.0, 0.0],
+        "rl_kd": [0.3, 0.3, 0.3, 0.3, 1.0, 1.0],
+        "torque_limits": [2.0, 2.0, 2.0, 2.0, 9.0, 9.0],
+        "action_scale": [0.125, 0.25, 0.125, 0.25, 5.0, 5.0],
+        "ang_vel_scale": 0.25,
+        "dof_pos_scale": 1.0,
+        "dof_vel_scale": 0.05,
+        "commands_scale": [1.0, 1.0, 1.0],
+        "default_dof_pos": [0.9599, -1.885, 0.9599, -1.885, 0.0, 0.0],
+    }
+}
+
+
+@pytest.mark.parametrize("file, content, width", [("deploy.yaml", UNITREE, 18), ("config.yaml", RL_SAR, 54)])
+def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object], width: int) -> None:
+    from tests.isaaclab_import.runs import ActorCritic, Exported
+
+    from wheelleg_exp.build import build_env
+    from wheelleg_exp.config.composing.compose import compose
+
+    folder = tmp_path / "deploy"
+    folder.mkdir()
+    (folder / file).write_text(yaml.safe_dump(content, sort_keys=False))
+    torch.jit.script(Exported(ActorCritic(width).actor, torch.nn.Identity())).save(str(folder / "policy.pt"))
+    name = f"flip_{file.split('.')[0]}"
+    made = import_run(folder, ROBOT, tmp_path / name)
+    assert made.run is not None
+    composed = compose([f"task={name}", "env.num_envs=2"], config_dirs=[made.path / "configs"])
+    env = build_env(composed.config, composed.asset_roots)
+    env.reset()
+    actions = torch.tensor([[0.3, -0.2, 0.1, 0.4, 0.5, -0.6]]).repeat(2, 1)
+    found = env.step(actions)[0]["policy"]
+    assert env.step_dt == 0.02
+    data, robot = env.scene.robot.data, env.scene.robot
+    if file == "deploy.yaml":
+        assert robot.joint_names == ["l01", "r01", "l02", "r02", "l03", "r03"]
+        torch.testing.assert_close(found[:, 3:6], 0.2 * data.root_ang_vel_b, atol=1e-5, rtol=1e-5)
+        expected = torch.tensor([0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0]) + 0.25 * actions
+        torch.testing.assert_close(data.joint_pos_target, expected, atol=1e-5, rtol=1e-5)
+    else:
+        assert robot.joint_names == ["r01", "r02", "l01", "l02", "r03", "l03"]
+        now = found[:, 27:]
+        legs = data.joint_pos - torch.tensor([0.9599, -1.885, 0.9599, -1.885, 0.0, 0.0])
+        torch.testing.assert_close(now[:, 9:13], legs[:, :4], atol=1e-5, rtol=1e-5)
+        assert (now[:, 13:15] == 0).all()  # rl_sar sets the angles of wheels to 0
+        torch.testing.assert_close(now[:, 15:21], 0.05 * data.joint_vel, atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(data.joint_vel_target[:, 4:], 5.0 * actions[:, 4:], atol=1e-5, rtol=1e-5)
+
+
+def _replace(file: str, text: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / file).write_text(text) and None
+
+
+def _edit(key: str, value: object) -> Callable[[Path], None]:
+    return _replace("params/env.yaml", changed(ENV, key, value))
+
+
+def _state(**entries: object) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        state = torch.load(folder / "model_700.pt", weights_only=True)
+        torch.save(state | entries, folder / "model_700.pt")
+
+    return write
+
+
+def _evil(folder: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[object, ...]:
+            return Path.touch, (folder.parent / "executed",)
+
+    torch.save({"model_state_dict": Evil()}, folder / "model_700.pt")
+
+
+LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
+WIDE = {"func": "isaaclab.envs.mdp.observations:joint_pos_rel", "params": {}}
+BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no folder": (lambda f: shutil.rmtree(f), "does not exist"),
+    "no env.yaml": (lambda f: (f / "params/env.yaml").unlink(), "contains no run"),
+    "empty env.yaml": (_replace("params/env.yaml", ""), "no mapping"),
+    "a list": (_replace("params/env.yaml", "[1, 2]"), "no mapping"),
+    "no YAML": (_replace("params/env.yaml", "a: [1"), "cannot be read"),
+    "binary env.yaml": (lambda f: (f / "params/env.yaml").write_bytes(b"\x00\xff\xfe"), "cannot be read"),
+    "LFS env.yaml": (_replace("params/env.yaml", LFS), "Git LFS"),
+    "LFS agent.yaml": (_replace("params/agent.yaml", LFS), "Git LFS"),
+    "LFS policy": (lambda f: (f / "model_700.pt").write_text(LFS), "Git LFS"),
+    "repeated key": (_replace("params/env.yaml", ENV + "\nseed: 3\n"), "repeated"),
+    "billion laughs": (_replace("params/env.yaml", "a: &a [1,1,1,1,1,1,1,1,1]\n" + "".join(
+        f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(9))), "too many nodes"),
+    "deep": (_replace("params/env.yaml", "a: " + "[" * 300 + "]" * 300), "nested too deeply"),
+    "huge integer": (_replace("params/env.yaml", ENV.replace("seed: 42", "seed: 1" + "0" * 400)), "too large"),
+    "no decimation": (_edit("decimation", None), "missing"),
+    "text for a number": (_edit("decimation", "four"), "decimation"),
+    "negative step": (_edit("sim.dt", -0.005), "dt"),
+    "no scene": (_edit("scene", None), "no articulation"),
+    "scene is text": (_edit("scene", "none"), "scene: none is not a mapping"),
+    "actuators are text": (_edit("scene.robot.actuators", "all"), "actuators: .*mapping"),
+    "actuator is text": (_edit("scene.robot.actuators.legs", "all"), "legs: .*mapping"),
+    "pose is a list": (_edit("scene.robot.init_state.joint_pos", [1, 2]), "joint_pos"),
+    "rotation of 2 numbers": (_edit("scene.robot.init_state.rot", [1.0, 0.0]), "rot"),
+    "pattern of rays": (_edit("scene.rays", {"class_type": "isaaclab.sensors:RayCaster", "pattern_cfg": {"func": "x:y"}}), "pattern"),
+    "second robot": (_edit("scene.other", {"class_type": "isaaclab.assets:Articulation"}), "two robots"),
+    "other joints": (_edit("actions.legs.joint_names", ["FL_hip"]), "FL_hip"),
+    "other pose": (_edit("scene.robot.init_state.joint_pos", {"FL_hip": 0.1}), "FL_hip"),
+    "other links": (_edit("events.add_base_mass.params.asset_cfg.body_names", "pelvis"), "pelvis"),
+    "no command": (_edit("commands.base_velocity", None), "no command 'base_velocity'"),
+    "own observation": (_edit("observations.policy.x", {"func": "lab.mdp:secret", "params": {}}), "observations.policy.x"),
+    "hostile target": (_edit("rewards.x", {"func": "os:system", "params": {"command": "touch executed"}, "weight": 1.0}), ""),
+    "hostile parameter": (_edit("rewards.track.params.std", {"_target_": "os.system", "command": "x"}), "std"),
+    "hostile tag": (_replace("params/env.yaml", ENV.replace("seed: 42", "seed: !!python/object/apply:os.system ['touch executed']")), "seed"),
+    "hostile path": (_edit("scene.robot.spawn.usd_path", "$(touch executed)"), ""),
+    "pose outside limits": (_edit("scene.robot.init_state.joint_pos", {".*01": 50.0}), "outside its limits"),
+    "weight is text": (_edit("rewards.track.weight", "many"), "weight"),
+    "wider observations": (_edit("observations.policy.more", WIDE), "wrong shapes"),
+    "narrower observations": (_edit("observations.policy.actions", None), "wrong shapes"),
+    "fewer actions": (_edit("actions.wheels", None), "wrong shapes"),
+    "pickle": (_evil, "cannot be read"),
+    "damaged policy": (lambda f: (f / "model_700.pt").write_bytes((f / "model_700.pt").read_bytes()[:500]), "cannot be read"),
+    "no networks": (_state(model_state_dict={"x": torch.ones(1)}), "no multilayer perceptron"),
+    "recurrent": (_state(model_state_dict={"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}), "recurrent"),
+    "NaN": (lambda f: _state(model_state_dict={
+        k: v * float("nan") for k, v in torch.load(f / "model_700.pt", weights_only=True)["model_state_dict"].items()})(f), "NaN"),
+    "agent is text": (_replace("params/agent.yaml", "ppo"), "no mapping"),
+    "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),
+}  # fmt: skip
+ACCEPTED = ("hostile target", "hostile path")  # imported without the author's function, or without the path
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_folders(tmp_path: Path, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder, _ = write_run(tmp_path / "run")
+    change, words = BROKEN[case]
+    change(folder)
+    before = sorted(tmp_path.iterdir())
+    if case in ACCEPTED:
+        import_run(folder, ROBOT, tmp_path / "flip")
+    else:
+        with pytest.raises(WheellegError, match=words) as error:
+            import_run(folder, ROBOT, tmp_path / "flip")
+        assert "\n" not in str(error.value) or str(error.value).startswith("3 mistakes in the config:")
+        assert ".tmp" not in str(error.value)
+        assert sorted(tmp_path.iterdir()) == before
+    assert not (tmp_path / "executed").exists()

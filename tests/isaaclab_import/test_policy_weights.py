@@ -1,0 +1,120 @@
+"""The networks of policy files compute what the original modules compute."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from tests.isaaclab_import.runs import ActorCritic, Exported, Normalizer, checkpoint
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.isaaclab_import.policy_weights import Network, read_policy
+
+
+def outputs(network: Network, x: torch.Tensor) -> torch.Tensor:
+    """Compute a network's outputs from its layers."""
+    if network.mean is not None and network.deviation is not None:
+        x = (x - network.mean) / (network.deviation + 1e-2)
+    for number, (weight, bias) in enumerate(network.layers):
+        x = torch.nn.functional.linear(x, weight, bias)
+        x = torch.nn.functional.elu(x) if number + 1 < len(network.layers) else x
+    return x
+
+
+X = torch.linspace(-2, 2, 75).reshape(3, 25)
+
+
+def test_checkpoint_of_rsl_rl_2(tmp_path: Path) -> None:
+    policy = ActorCritic()
+    torch.save(checkpoint(policy, 70), tmp_path / "model_70.pt")
+    found = read_policy(tmp_path / "model_70.pt")
+    assert found.critic is not None and found.std is not None
+    torch.testing.assert_close(outputs(found.actor, X), policy.actor(X))
+    torch.testing.assert_close(outputs(found.critic, X), policy.critic(X))
+    torch.testing.assert_close(found.std, policy.std.detach())
+    assert (found.iteration, found.actor.hidden, found.actor.widths) == (70, [32, 16], (25, 6))
+
+
+@pytest.mark.parametrize("form", ["inside", "beside"])
+def test_normalization_of_rsl_rl(tmp_path: Path, form: str) -> None:
+    policy, normalizer = ActorCritic(), Normalizer()
+    state = checkpoint(policy)
+    if form == "inside":  # rsl_rl 3
+        state["model_state_dict"] |= {f"actor_obs_normalizer.{k}": v for k, v in normalizer.state_dict().items()}
+    else:  # rsl_rl 2
+        state["obs_norm_state_dict"] = normalizer.state_dict()
+    torch.save(state, tmp_path / "model_1.pt")
+    found = read_policy(tmp_path / "model_1.pt")
+    torch.testing.assert_close(outputs(found.actor, X), policy.actor(normalizer(X)))
+    assert found.actor.count == 5000
+
+
+def test_logarithm_of_the_deviation(tmp_path: Path) -> None:
+    state = checkpoint(ActorCritic())
+    state["model_state_dict"]["log_std"] = state["model_state_dict"].pop("std").log()
+    torch.save(state, tmp_path / "model_1.pt")
+    found = read_policy(tmp_path / "model_1.pt").std
+    assert found is not None and torch.allclose(found, torch.full((6,), 0.3), atol=0.01)
+
+
+@pytest.mark.parametrize("normalizer", [torch.nn.Identity(), Normalizer()])
+def test_torchscript(tmp_path: Path, normalizer: torch.nn.Module) -> None:
+    policy = Exported(ActorCritic().actor, normalizer)
+    torch.jit.script(policy).save(str(tmp_path / "policy.pt"))
+    found = read_policy(tmp_path / "policy.pt")
+    torch.testing.assert_close(outputs(found.actor, X), policy(X))
+    assert found.activation == "elu" and found.critic is None and found.std is None
+
+
+@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize("form", ["Gemm", "MatMul"])
+def test_onnx(tmp_path: Path, normalized: bool, form: str) -> None:
+    import numpy as np
+    import onnx
+    import onnxruntime
+    from onnx import TensorProto, helper, numpy_helper
+
+    actor, normalizer = ActorCritic().actor, Normalizer()
+    nodes, values, last = [], {}, "obs"
+    if normalized:
+        values |= {"mean": normalizer._mean.numpy(), "scale": (normalizer._std + 1e-2).numpy()}
+        nodes += [helper.make_node("Sub", ["obs", "mean"], ["a"]), helper.make_node("Div", ["a", "scale"], ["b"])]
+        last = "b"
+    for number in (0, 2, 4):
+        weight, bias = (actor[number].get_parameter(name).detach().numpy() for name in ("weight", "bias"))
+        values |= {f"w{number}": weight if form == "Gemm" else weight.T, f"b{number}": bias}
+        if form == "Gemm":
+            nodes.append(helper.make_node("Gemm", [last, f"w{number}", f"b{number}"], [f"y{number}"], transB=1))
+        else:
+            nodes.append(helper.make_node("MatMul", [last, f"w{number}"], [f"m{number}"]))
+            nodes.append(helper.make_node("Add", [f"m{number}", f"b{number}"], [f"y{number}"]))
+        last = f"y{number}"
+        if number < 4:
+            nodes.append(helper.make_node("Elu", [last], [f"e{number}"]))
+            last = f"e{number}"
+    ends = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [None, w]) for n, w in (("obs", 25), (last, 6))]
+    stored = [numpy_helper.from_array(np.ascontiguousarray(value), name) for name, value in values.items()]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], stored)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    onnx.save(model, str(tmp_path / "policy.onnx"))
+    found = read_policy(tmp_path / "policy.onnx")
+    expected = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx")).run(None, {"obs": X.numpy()})[0]
+    torch.testing.assert_close(outputs(found.actor, X), torch.tensor(expected), atol=1e-5, rtol=1e-5)
+    assert found.activation == "elu"
+
+
+def test_bad_files(tmp_path: Path) -> None:
+    recurrent = {"model_state_dict": {"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}, "iter": 1}
+    bad: dict[str, object] = {"recurrent": recurrent, "a list": [1, 2], "no networks": {"iter": 3}}
+    for name, content in bad.items():
+        torch.save(content, tmp_path / "model_1.pt")
+        with pytest.raises(RunDirectoryError) as error:
+            read_policy(tmp_path / "model_1.pt")
+        assert ("recurrent" in str(error.value)) == (name == "recurrent")
+    texts = {b"version https://git-lfs.github.com/spec/v1": "pointer of Git LFS", b"\x80\x04x": "cannot be read|no linear layers"}
+    for data, words in texts.items():
+        for file in ("policy.pt", "policy.onnx"):
+            (tmp_path / file).write_bytes(data)
+            with pytest.raises(RunDirectoryError, match=words):
+                read_policy(tmp_path / file)

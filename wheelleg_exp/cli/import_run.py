@@ -1,0 +1,47 @@
+"""``wheelleg import RUN``: make a project and a run directory from an Isaac Lab run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from wheelleg_exp.errors import EXIT_OK
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("source", metavar="RUN", type=Path, help="the run's folder, or its env.yaml or deploy.yaml")
+    parser.add_argument("--robot", metavar="FILE", type=Path, required=True, help="the robot's USD or URDF file")
+    parser.add_argument("--policy", metavar="FILE", type=Path, help="a policy: model_<n>.pt, policy.pt, or policy.onnx")
+    text = "the author's Python code, of which the needed functions are copied"
+    parser.add_argument("--terms", metavar="FOLDER", type=Path, help=text)
+    text = "a YAML file that maps the run's names of joints and links to those of the robot file"
+    parser.add_argument("--names", metavar="FILE", type=Path, help=text)
+    parser.add_argument("-o", "--output", metavar="PROJECT", type=Path, required=True, help="the new project's folder")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import a run, and print what was imported and what to do next. An error leaves no files."""
+    from wheelleg_exp.stop_request import StopRequest
+
+    with StopRequest() as stop:
+        from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED
+        from wheelleg_exp.isaaclab_import.import_run import import_run
+    stop.check()
+    options = {"policy": args.policy, "terms": args.terms, "names": args.names, "command": args.command}
+    made = import_run(args.source, args.robot, args.output, **options)
+    place = os.path.relpath(made.path)
+    print(f"created {place}: {made.report.counts()}")
+    for outcome in (CODE, ASSUMED, DROPPED):
+        for row in made.report.of(outcome):
+            print(f"  {outcome}: {row.key}: {row.text}")
+    print(f"report: {place}/README.md")
+    print(f"next: cd {place}")
+    if made.run is None:
+        print("      there is no policy: give one with --policy, or train")
+        print(f"      wheelleg train task={made.name}")
+    else:
+        print("      wheelleg play latest")
+        print("      wheelleg evaluate latest protocol=walk")
+    return EXIT_OK

@@ -1,0 +1,196 @@
+"""Copy the functions and classes that a run needs out of the author's Python files, without importing these files.
+
+Each source file gives one module with the needed definitions, what they use from the same file, and their import
+lines, in which ``isaaclab`` became ``wheelleg_exp.isaaclab``.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterable, Iterator
+from importlib import import_module
+from pathlib import Path
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.files import read_text
+
+_MOST_FILES = 20_000
+_PACKAGES = ("isaaclab", "isaaclab_tasks")
+_LIBRARIES = ("torch", "numpy", "math", "typing", "collections", "dataclasses", "scipy")
+_OLD = {"omni.isaac.lab_tasks": "isaaclab_tasks", "omni.isaac.lab": "isaaclab"}
+
+
+class AuthorTerms:
+    """The Python files below a folder, and the modules that ``target`` has made of them, by name, as text."""
+
+    def __init__(self, folder: Path | None, package: str) -> None:
+        self._package = package
+        self._files: list[Path] = []
+        if folder is not None:
+            if not folder.is_dir():
+                raise ConfigError(
+                    "the folder does not exist", key=f"--terms {folder}", expected="a folder of Python files"
+                )
+            self._files = sorted(folder.rglob("*.py"))[:_MOST_FILES]
+        self._trees: dict[Path, ast.Module] = {}
+        self._needed: dict[Path, list[str]] = {}
+        self._names: dict[Path, str] = {}
+
+    def target(self, path: str, parameters: Iterable[str] = ()) -> str | None:
+        """Return the target of ``module:name`` in the new package; None if no file defines the name.
+
+        If several files fit equally, the definition with all ``parameters`` is taken.
+        """
+        module, _, name = path.replace(":", ".").rpartition(".")
+        parts = module.split(".")
+        defining = [file for file in self._files if name in self._definitions(file)]
+        if not defining:
+            return None
+
+        def fit(file: Path) -> tuple[int, bool]:
+            names = {part.arg for part in ast.walk(self._definitions(file)[name]) if isinstance(part, ast.arg)}
+            return _shared(file.with_suffix("").parts, parts), names.issuperset(parameters)
+
+        file = max(defining, key=fit)
+        self._need(file, name)
+        return f"{self._package}.{self._name(file)}.{name}"
+
+    def modules(self) -> dict[str, str]:
+        """Return the text of each new module by its name."""
+        done: dict[str, str] = {}
+        while True:  # The text of a module can show that another module needs more definitions.
+            before = {file: list(names) for file, names in self._needed.items()}
+            done = {self._name(file): self._text(file) for file in before}
+            if self._needed == before:
+                return done
+
+    def _name(self, file: Path) -> str:
+        """Return the name of the new module for a file; files of one name get names with their folders."""
+        if file not in self._names:
+            parts = [re.sub(r"\W", "_", part).lower() for part in file.with_suffix("").parts if part != "__init__"]
+            options = ("_".join(parts[-count:]) for count in range(1, len(parts) + 1))
+            self._names[file] = next(name for name in options if name not in (*self._names.values(), "__init__"))
+        return self._names[file]
+
+    def _definitions(self, file: Path) -> dict[str, ast.stmt]:
+        if file not in self._trees:
+            try:
+                self._trees[file] = _with_plain_annotations(ast.parse(read_text(file)))
+            except (SyntaxError, ValueError, RecursionError):
+                self._trees[file] = ast.Module([], [])
+        return {name: part for part in self._trees[file].body for name in _defined(part)}
+
+    def _need(self, file: Path, name: str) -> None:
+        """Note that a new module needs the definition ``name`` of ``file``, and what this definition uses."""
+        found, needed = self._definitions(file), self._needed.setdefault(file, [])
+        waiting = [name]
+        while waiting:
+            name = waiting.pop()
+            if name in needed or name not in found:
+                continue
+            needed.append(name)
+            waiting += [part.id for part in ast.walk(found[name]) if isinstance(part, ast.Name)]
+
+    def _text(self, file: Path) -> str:
+        tree, needed = self._trees[file], set(self._needed[file])
+        kept = [part for part in tree.body if needed & set(_defined(part))]
+        used = {part.id for item in kept for part in ast.walk(item) if isinstance(part, ast.Name)}
+        imports = [text for item in _imports(tree) if (text := self._import(item, used, file))]
+        source = "\n\n\n".join(ast.unparse(part) for part in kept)
+        head = (
+            f'"""Terms copied from ``{file.name}`` by ``wheelleg import``."""\n\nfrom __future__ import annotations\n'
+        )
+        return "\n".join([head, *imports, "", "", source, ""])
+
+    def _namespace(self, alias: str, file: Path) -> list[str]:
+        """Return lines that replace an imported package of the author by a namespace of the used definitions."""
+        kept = [part for part in self._trees[file].body if set(self._needed[file]) & set(_defined(part))]
+        parts = [part for item in kept for part in ast.walk(item) if isinstance(part, ast.Attribute)]
+        used = sorted({part.attr for part in parts if isinstance(part.value, ast.Name) and part.value.id == alias})
+        lines, fields = ["from types import SimpleNamespace"], []
+        for name in used:
+            own = next((f for f in self._files if f != file and name in self._definitions(f)), None)
+            if own is not None:
+                self._need(own, name)
+            module = "wheelleg_exp.isaaclab.envs.mdp" if own is None else f"{self._package}.{self._name(own)}"
+            lines.append(f"from {module} import {name} as {alias}_{name}")
+            fields.append(f"{name}={alias}_{name}")
+        return [*lines, f"{alias} = SimpleNamespace({', '.join(fields)})"]
+
+    def _import(self, part: ast.Import | ast.ImportFrom, used: set[str], file: Path) -> str:
+        """Return an import line with the names that are used, or an empty text."""
+        names = [item for item in part.names if (item.asname or item.name.split(".")[0]) in used]
+        if not names or (isinstance(part, ast.ImportFrom) and part.module == "__future__"):
+            return ""
+        if isinstance(part, ast.Import):
+            lines = []
+            for item in names:
+                module, alias = _moved(item.name), item.asname
+                if alias is not None and not _exists(module):
+                    lines += self._namespace(alias, file)
+                else:
+                    lines.append(f"import {module}" + (f" as {alias}" if alias else ""))
+            return "\n".join(lines)
+        module, lines = part.module or "", []
+        for item in names:
+            own = next((f for f in self._files if f != file and item.name in self._definitions(f)), None)
+            alias = f" as {item.asname}" if item.asname else ""
+            if own is not None and (part.level or not _has(_moved(module), item.name)):
+                self._need(own, item.name)
+                lines.append(f"from {self._package}.{self._name(own)} import {item.name}{alias}")
+            elif not part.level:
+                lines.append(f"from {_moved(module)} import {item.name}{alias}")
+        return "\n".join(lines)
+
+
+def _imports(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
+    for part in ast.walk(tree):
+        if isinstance(part, (ast.Import, ast.ImportFrom)):
+            yield part
+
+
+def _defined(part: ast.stmt) -> list[str]:
+    if isinstance(part, (ast.FunctionDef, ast.ClassDef)):
+        return [part.name]
+    targets = part.targets if isinstance(part, ast.Assign) else [part.target] if isinstance(part, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def _with_plain_annotations(tree: ast.Module) -> ast.Module:
+    """Replace annotations that are texts, such as ``"ActionCfg"``, by what they say."""
+    for part in ast.walk(tree):
+        if isinstance(part, (ast.arg, ast.AnnAssign)) and isinstance(part.annotation, ast.Constant):
+            part.annotation = ast.parse(str(part.annotation.value), mode="eval").body
+    return tree
+
+
+def _moved(module: str) -> str:
+    for old, new in _OLD.items():
+        module = new + module.removeprefix(old) if f"{module}.".startswith(f"{old}.") else module
+    return f"wheelleg_exp.{module}" if module.split(".")[0] in _PACKAGES else module
+
+
+def _has(module: str, name: str) -> bool:
+    """Return whether a module of this package or of a library has a name; the author's own modules have not."""
+    return _exists(module) and (not module.startswith("wheelleg_exp.") or hasattr(import_module(module), name))
+
+
+def _exists(module: str) -> bool:
+    if module.split(".")[0] != "wheelleg_exp":
+        return module.split(".")[0] in _LIBRARIES
+    try:
+        import_module(module)
+    except ImportError:
+        return False
+    return True
+
+
+def _shared(parts: tuple[str, ...], module: list[str]) -> int:
+    """Return how many last parts of a file's path are equal to those of a module."""
+    count = 0
+    for a, b in zip(reversed(parts), reversed(module), strict=False):
+        if a != b:
+            break
+        count += 1
+    return count

@@ -1,0 +1,652 @@
+"""Convert Isaac Lab's ``env.yaml`` to the config section ``env`` of this project.
+
+Terms have Isaac Lab's names here, so most nodes only change their form. The report has a row for each node, and a row
+for each setting that was changed, assumed, or dropped.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
+from typing import Any
+
+from wheelleg_exp.asset.robot_description import Dof
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.isaaclab_import.import_report import (
+    ASSUMED,
+    CODE,
+    DROPPED,
+    NAME,
+    NOT_NEEDED,
+    RULE,
+    ImportReport,
+    Section,
+    shown,
+)
+from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
+
+Tree = Mapping[str, Any]
+# Isaac Lab's kinds of terms: the config section here, and the module of ``wheelleg_exp.mdp``.
+_KINDS = {
+    "commands": "commands",
+    "actions": "actions",
+    "observations": "observations",
+    "events": "events",
+    "rewards": "rewards",
+    "terminations": "terminations",
+    "curriculum": "curriculums",
+}
+_STOCK = re.compile(
+    r"(omni\.isaac\.lab|isaaclab)\.|(omni\.isaac\.lab_tasks|isaaclab_tasks)\.manager_based\.locomotion\.velocity\.mdp\b"
+)
+_DRAWN = "nothing is drawn during training"
+_STAGE = "there is no Omniverse stage"
+_PHYSX = "a setting of PhysX; MuJoCo solves contacts differently"
+_ENGINE = "the engine's memory and rendering are set elsewhere"
+_ROOT_DROPPED = {
+    _DRAWN: ("viewer", "ui_window_class_type", "rerender_on_reset", "num_rerenders_on_reset", "wait_for_textures"),
+    "teleoperation is not part of a task": ("xr", "teleop_devices"),
+    "runs are recorded in their own format": ("recorders", "export_io_descriptors", "log_dir"),
+}
+_SIM_DROPPED = {
+    _ENGINE: (
+        "device",
+        "render_interval",
+        "render",
+        "use_fabric",
+        "enable_scene_query_support",
+        "create_stage_in_memory",
+    ),
+    _STAGE: (
+        "physics_prim_path",
+        "logging_level",
+        "save_logs_to_file",
+        "log_dir",
+        "visualizer_cfgs",
+        "save_logs_to_file",
+    ),
+    _PHYSX: ("physx", "physics", "disable_contact_processing", "use_gpu_pipeline"),
+}
+_SCENE_DROPPED = ("lazy_sensor_update", "replicate_physics", "filter_collisions", "clone_in_fabric")
+_ROBOT_DROPPED = (
+    *("prim_path", "collision_group", "debug_vis", "articulation_root_prim_path", "class_type"),
+    "actuator_value_resolution_debug_print",
+)
+_SENSOR_DROPPED = ("debug_vis", "visualizer_cfg", "class_type", "prim_path")
+# PhysX combines two materials with the mode of higher priority.
+_COMBINE = ("average", "min", "multiply", "max")
+_ACTUATORS = {
+    "ImplicitActuator", "IdealPDActuator", "DCMotor", "DelayedPDActuator", "RemotizedPDActuator", "ActuatorNetMLP",
+    "ActuatorNetLSTM",
+}  # fmt: skip
+_NOISES = {"uniform_noise": "UniformNoise", "gaussian_noise": "GaussianNoise", "constant_noise": "ConstantNoise"}
+_MODIFIERS = {"scale": "Scale", "clip": "Clip", "bias": "Bias"}
+_PATTERNS = {"grid_pattern": "GridPattern", "lidar_pattern": "LidarPattern", "bpearl_pattern": "BpearlPattern"}
+# Isaac Lab's functions of terrain tiles: the class here, and settings that the function implies.
+_TILES: dict[str, tuple[str, dict[str, Any]]] = {
+    "flat_terrain": ("Flat", {}),
+    "random_uniform_terrain": ("RandomUniform", {}),
+    "pyramid_sloped_terrain": ("PyramidSlope", {}),
+    "pyramid_stairs_terrain": ("PyramidStairs", {}),
+    "inverted_pyramid_stairs_terrain": ("PyramidStairs", {"inverted": True}),
+    "random_grid_terrain": ("RandomGrid", {}),
+    "discrete_obstacles_terrain": ("DiscreteObstacles", {}),
+    "wave_terrain": ("Waves", {}),
+    "stepping_stones_terrain": ("SteppingStones", {}),
+    "gap_terrain": ("Gap", {}),
+    "rails_terrain": ("Rails", {}),
+    "box_terrain": ("Box", {}),
+    "pit_terrain": ("Box", {"inverted": True}),
+}
+_TILE_NAMES = {
+    "pit_depth_range": "box_height_range",
+    "double_pit": "double_box",
+    "flat_patch_sampling": "flat_patches",
+}
+_CONTACTS = 8  # most contacts of a body that are summed; Isaac Lab sums all
+_FRICTION = 0.5  # Isaac Lab's default coefficient of a material
+
+
+class EnvMapping:
+    """Converts one ``env.yaml``.
+
+    ``dofs`` are the robot file's joints by name. ``names`` maps the run's names of joints and links to other names in
+    the robot file.
+
+    ``user_target`` returns the target of a function of the author, such as ``my_robot.rewards.energy``, or None if its
+    code is unknown. After ``convert``, ``robot`` and ``env`` contain the config, and ``lost`` the names of observation
+    groups that lack a term.
+    """
+
+    def __init__(
+        self,
+        tree: Tree,
+        dofs: Mapping[str, Dof],
+        user_target: Callable[[str, Iterable[str]], str | None],
+        report: ImportReport,
+        names: Mapping[str, str] | None = None,
+    ) -> None:
+        self._names = dict(names or {})
+        joints = {old: new for old, new in self._names.items() if new in dofs}
+        links = {old: new for old, new in self._names.items() if new not in dofs}
+        self._root = Section(_renamed(tree, joints, links) if names else tree, "", report)
+        self._dofs, self._user_target, self._report = dofs, user_target, report
+        self._robot_name = "robot"
+        # Isaac Lab 3.0 has ``sim.physics`` instead of ``sim.physx``, and quaternions (x, y, z, w).
+        self._xyzw = "physx" not in (tree.get("sim") or {"physx": None})
+        self.robot: dict[str, Any] = {}
+        self.env: dict[str, Any] = {}
+        self.seed: int | None = None
+        self.lost: list[str] = []
+
+    def convert(self) -> None:
+        """Convert the whole file."""
+        root = self._root
+        self.seed = root.take("seed")
+        for name in ("decimation", "episode_length_s"):
+            value = root.take(name)
+            if value is None:
+                raise ConfigError("the key is missing", key=f"env.yaml: {name}", expected="Isaac Lab's env.yaml")
+            self.env[name] = value
+        if root.take("is_finite_horizon"):
+            self.env["is_finite_horizon"] = True
+        sim = root.section("sim")
+        material = sim.section("physics_material")
+        self.env["sim"] = {"dt": sim.take("dt", 1 / 60), "gravity": sim.take("gravity", [0.0, 0.0, -9.81])}
+        for reason, names in _SIM_DROPPED.items():
+            sim.drop(names, reason, DROPPED if reason == _PHYSX else NOT_NEEDED)
+        sim.finish()
+        self._scene(root.section("scene"), material)
+        for kind in _KINDS:
+            self.env[kind] = self._terms(kind, root.section(kind))
+        for reason, names in _ROOT_DROPPED.items():
+            root.drop(names, reason, NOT_NEEDED)
+        root.finish()
+
+    # --- scene ---
+
+    def _scene(self, scene: Section, material: Section) -> None:
+        self.env["num_envs"] = int(scene.take("num_envs", 4096))
+        self.env["scene"] = {"env_spacing": scene.take("env_spacing", 2.5), "terrain": None, "sensors": {}}
+        scene.drop(_SCENE_DROPPED, _STAGE, NOT_NEEDED)
+        modes = [material.take("friction_combine_mode", "average")]
+        robots = 0
+        for name, node in list(scene.items()):
+            kind = _last(node.get("class_type")) if isinstance(node, Mapping) else ""
+            key = f"scene.{name}"
+            part = Section(node if kind else None, key, self._report)
+            if kind == "Articulation":
+                robots += 1
+                if robots > 1:
+                    raise ConfigError("the run has two robots", key=key, expected="one articulation in the scene")
+                self._robot_name = name
+                self._robot(part)
+            elif kind == "TerrainImporter":
+                self.env["scene"]["terrain"] = self._terrain(part, modes)
+            elif kind in ("ContactSensor", "RayCaster", "Imu"):
+                self.env["scene"]["sensors"][name] = getattr(self, f"_{kind.lower()}")(part)
+            elif "spawn_light" in str(node) or "Light" in str(node):
+                self._report.add(key, NOT_NEEDED, f"a light: {_DRAWN}")
+            elif "spawn_ground_plane" in str(node):
+                self._report.add(key, RULE, "a plane")
+            else:
+                what = kind or _last(_spawned(node)) or "object"
+                self._report.add(key, DROPPED, f"a {what}: the scene contains only the robot, the ground, and sensors")
+        if not robots:
+            raise ConfigError("the run has no articulation", key="env.yaml: scene", expected="a robot")
+        if self.env["scene"]["terrain"] is None:
+            self._report.add("scene.terrain", ASSUMED, "a plane with friction 1, as the ground plane of Isaac Lab")
+            self.env["scene"]["terrain"] = _plane(1.0, 1.0)
+        mode = max(modes, key=_COMBINE.index)
+        self.robot["friction_combine_mode"] = mode
+        self._report.add("friction_combine_mode", RULE, f"{mode}: the mode of higher priority, as in PhysX")
+        self._robot_material(material)
+
+    def _robot_material(self, material: Section) -> None:
+        static, dynamic = (material.take(f"{kind}_friction", _FRICTION) for kind in ("static", "dynamic"))
+        events = self._root.left.get("events") or {}
+        drawn = [
+            name for name, node in events.items() if node and _last(node.get("func")) == "randomize_rigid_body_material"
+        ]
+        material.drop(["restitution"], "MuJoCo's contacts have no restitution")
+        if drawn:
+            return
+        target = "wheelleg_exp.mdp.events.randomize_rigid_body_material"
+        node: dict[str, Any] = {"_target_": target, "mode": "startup"}
+        node |= {"static_friction_range": [static, static], "dynamic_friction_range": [dynamic, dynamic]}
+        node |= {"restitution_range": [0.0, 0.0], "num_buckets": 1, "asset_cfg": _entity("robot", body_names=[".*"])}
+        self.env["events"] = {"physics_material": node}
+        text = f"friction {static} (static) and {dynamic} (dynamic) of all bodies, as an event"
+        self._report.add("sim.physics_material", RULE, text)
+
+    def _robot(self, part: Section) -> None:
+        spawn, init = part.section("spawn"), part.section("init_state")
+        articulation = spawn.section("articulation_props")
+        fixed = articulation.take("fix_root_link")
+        source = next((spawn.take(name) for name in ("usd_path", "asset_path") if name in spawn.left), None)
+        self.robot |= {
+            "base": "fixed" if fixed else "floating",
+            "init_state": {
+                "pos": init.take("pos", [0.0, 0.0, 0.0]),
+                "rot": self._quaternion(init.take("rot"), "scene.robot.init_state.rot"),
+                "joint_pos": self._per_joint(init.take("joint_pos", {".*": 0.0})),
+                "joint_vel": self._per_joint(init.take("joint_vel", {".*": 0.0})),
+            },
+            "joint_order": part.take("joint_order"),
+            "soft_joint_pos_limit_factor": part.take("soft_joint_pos_limit_factor", 1.0),
+            "friction_source": "static",
+            "self_collisions": articulation.take("enabled_self_collisions"),
+        }
+        if source:
+            self._report.add(f"{spawn.key}.usd_path", RULE, f"{shown(source)}: replaced by the given robot file")
+        init.skip(*(name for name in ("lin_vel", "ang_vel") if not any(init.left.get(name) or [])))
+        init.finish("resets set the velocity by events")
+        spawn.drop(
+            ("scale", "variants", "mass_props", "rigid_props", "collision_props", "joint_drive_props", "joint_drive"),
+            "the robot file is not changed; PhysX's limits of bodies have no counterpart",
+        )
+        spawn.skip(*spawn.left)
+        nodes = part.section("actuators")
+        self._require_joints({**self.robot["init_state"]["joint_pos"], **self.robot["init_state"]["joint_vel"]})
+        self.robot["actuators"] = {
+            name: self._actuator(Section(n, f"{nodes.key}.{name}", self._report)) for name, n in nodes.items()
+        }
+        part.skip(*_ROBOT_DROPPED)
+        part.finish()
+
+    def _actuator(self, part: Section) -> dict[str, Any]:
+        source = str(part.take("class_type", ""))
+        kind = _last(source)
+        if kind not in _ACTUATORS or not source.startswith(("isaaclab.", "omni.isaac.lab.")):
+            has = part.left
+            kind = "DCMotor" if has.get("saturation_effort") else "IdealPDActuator"
+            kind = "DelayedPDActuator" if has.get("max_delay") and kind != "DCMotor" else kind
+            self._report.add(part.key, ASSUMED, f"{source or 'an actuator'} is taken as {kind}")
+        else:
+            self._report.add(part.key, NAME, kind)
+        implicit = kind == "ImplicitActuator"
+        expressions = part.take("joint_names_expr", [".*"])
+        self._require_joints([expressions] if isinstance(expressions, str) else expressions)
+        accepted = signature_parameters(resolve_target(f"wheelleg_exp.sim.actuators.{kind}", part.key))
+        joints = [name for name in self._dofs if _matches(expressions, name)]
+        node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.actuators.{kind}", "joint_names_expr": expressions}
+        for name in ("effort_limit", "velocity_limit"):
+            own, of_engine = part.take(name), part.take(f"{name}_sim")
+            if implicit:
+                # Isaac Lab ignores the velocity limit of an implicit actuator.
+                own = of_engine if of_engine is not None else own if name == "effort_limit" else None
+            elif own is None:
+                own = of_engine
+            elif of_engine is not None and of_engine != own:
+                self._report.add(
+                    f"{part.key}.{name}_sim", DROPPED, f"{shown(of_engine)}: the engine has the limit {shown(own)}"
+                )
+            if name in accepted:
+                node[name] = self._per_joint(own) if own is not None else self._from_file(part.key, name, joints)
+        for name in ("stiffness", "damping"):
+            own = part.take(name)
+            node[name] = self._per_joint(own) if own is not None else self._from_file(part.key, name, joints)
+        dynamic = part.take("dynamic_friction")
+        if dynamic:
+            self._report.add(
+                f"{part.key}.dynamic_friction", DROPPED, f"{shown(dynamic)}: MuJoCo has one friction per joint"
+            )
+        for name, value in part.take_if_known(accepted).items():
+            node[name] = self._per_joint(value) if isinstance(value, Mapping) else value
+        part.finish()
+        return node
+
+    def _require_joints(self, expressions: Iterable[str]) -> None:
+        """Raise ConfigError if an expression matches no joint of the robot file."""
+        unknown = [text for text in expressions if self._dofs and not any(re.fullmatch(text, n) for n in self._dofs)]
+        if unknown:
+            message = f"the robot file has no joint {', '.join(unknown[:5])}"
+            expected = f"the robot of the run, or --names FILE; the file has {', '.join(self._dofs)}"
+            raise ConfigError(message, key="scene.robot", expected=expected)
+
+    def _from_file(self, key: str, name: str, joints: list[str]) -> Any:
+        """Return a gain or limit from the robot's file, as Isaac Lab does for null."""
+        found: dict[str, float] = {}
+        for joint in joints:
+            dof = self._dofs[joint]
+            drive = dof.drive
+            if name == "velocity_limit":
+                found[joint] = dof.max_velocity or math.inf
+            elif name == "effort_limit":
+                limits = [drive.effort] if drive is not None and drive.effort else []
+                limits += [max(map(abs, dof.force_range))] if dof.force_range is not None else []
+                found[joint] = min(limits, default=math.inf)
+            else:
+                found[joint] = getattr(drive, name) if drive is not None else 0.0
+        same = len(set(found.values())) <= 1
+        value: Any = next(iter(found.values()), 0.0) if same else {re.escape(joint): v for joint, v in found.items()}
+        self._report.add(f"{key}.{name}", ASSUMED, f"{shown(value)}, from the robot's file")
+        return value
+
+    def _per_joint(self, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {str(name): float(number) for name, number in value.items()}
+        if isinstance(value, list):
+            message = f"{shown(value)} is a list"
+            raise ConfigError(message, key="scene.robot: joint_pos or a gain", expected="numbers by joint expression")
+        return value
+
+    def _quaternion(self, value: Any, key: str) -> list[float]:
+        if value is None:
+            return [1.0, 0.0, 0.0, 0.0]
+        if self._xyzw:
+            self._report.add(key, RULE, "(x, y, z, w) of Isaac Lab 3.0 became (w, x, y, z)")
+            return [value[3], *value[:3]]
+        return list(value)
+
+    def _terrain(self, part: Section, modes: list[str]) -> dict[str, Any]:
+        material = part.section("physics_material")
+        modes.append(material.take("friction_combine_mode", "average"))
+        static, dynamic = (material.take(f"{kind}_friction", _FRICTION) for kind in ("static", "dynamic"))
+        material.drop(["restitution"], "MuJoCo's contacts have no restitution")
+        kind = part.take("terrain_type", "plane")
+        node = _plane(static, dynamic)
+        generator = part.section("terrain_generator")
+        if kind == "generator":
+            accepted = signature_parameters(resolve_target("wheelleg_exp.sim.terrain.TerrainGenerator", part.key))
+            node["_target_"] = "wheelleg_exp.sim.terrain.TerrainGenerator"
+            tiles = generator.section("sub_terrains")
+            node |= {
+                "num_rows": 1,
+                "num_cols": 1,
+                "border_width": 0.0,
+                "difficulty_range": [0.0, 1.0],
+                "curriculum": False,
+            }
+            node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
+            node |= generator.take_if_known(accepted)
+            level = part.take("max_init_terrain_level")
+            node |= {"max_init_terrain_level": level} if level is not None else {}
+            node["sub_terrains"] = {}
+            for name, tile in tiles.items():
+                made = self._tile(Section(tile, f"{tiles.key}.{name}", self._report))
+                node["sub_terrains"] |= {} if made is None else {name: made}
+            self._report.add(part.key, NAME, "TerrainGenerator")
+            generator.drop(("slope_threshold",), "tiles of boxes have vertical edges, other tiles have slopes")
+            generator.drop(("border_height",), "the border ends at the level of the ground")
+        else:
+            outcome = NAME if kind == "plane" else DROPPED
+            self._report.add(
+                part.key, outcome, "Plane" if kind == "plane" else f"terrain of type {kind}: a plane replaces it"
+            )
+        generator.skip(*generator.left)
+        part.skip(*part.left)
+        return node
+
+    def _tile(self, part: Section) -> dict[str, Any] | None:
+        function = _last(part.take("function"))
+        if function not in _TILES:
+            text = f"'{function}' is no tile here; the shares of the other tiles grow"
+            self._report.add(part.key, DROPPED, text)
+            return None
+        kind, implied = _TILES[function]
+        node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.terrain.{kind}", **implied}
+        accepted = signature_parameters(resolve_target(node["_target_"], part.key))
+        for there, here in _TILE_NAMES.items():
+            value = part.take(there)
+            if value is not None:
+                node[here] = value
+        if kind == "PyramidSlope":
+            low, high = part.take("slope_range")
+            node["slope_range"] = [math.atan(low), math.atan(high)]
+            self._report.add(f"{part.key}.slope_range", RULE, f"[{low}, {high}] (rise over run) became radians")
+        node |= part.take_if_known(accepted)
+        self._report.add(part.key, NAME, kind)
+        part.skip("size", "vertical_scale")
+        part.drop(("slope_threshold",), "the tile has slopes")
+        part.finish()
+        return node
+
+    def _contactsensor(self, part: Section) -> dict[str, Any]:
+        node: dict[str, Any] = {"_target_": "wheelleg_exp.sim.sensors.ContactSensor"}
+        node |= {"body_names": self._bodies(part.take("prim_path")), "history_length": part.take("history_length", 0)}
+        node |= {"track_air_time": part.take("track_air_time", False), "max_contacts": _CONTACTS}
+        node |= {"force_threshold": part.take("force_threshold", 1.0)}
+        paths = part.take("filter_prim_paths_expr", [])
+        if paths:
+            node["filter_body_names"] = [name for path in paths for name in self._bodies(path)]
+        period = part.take("update_period", 0.0)
+        if period and period > self.env["sim"]["dt"]:
+            node["update_period"] = period
+        node |= part.take_if_known(("track_pose", "track_contact_points", "track_friction_forces"))
+        self._report.add(part.key, NAME, "ContactSensor")
+        part.skip("max_contact_data_count_per_prim", "max_contact_data_per_prim", *_SENSOR_DROPPED)
+        part.finish()
+        return node
+
+    def _raycaster(self, part: Section) -> dict[str, Any]:
+        node: dict[str, Any] = {
+            "_target_": "wheelleg_exp.sim.sensors.RayCaster",
+            "body_name": self._bodies(part.take("prim_path"))[0],
+        }
+        offset = part.section("offset")
+        node["offset"] = {
+            "pos": offset.take("pos", [0.0, 0.0, 0.0]),
+            "rot": self._quaternion(offset.take("rot"), offset.key),
+        }
+        yaw = part.take("attach_yaw_only")
+        node["ray_alignment"] = part.take("ray_alignment", "yaw" if yaw else "base")
+        pattern = part.section("pattern_cfg")
+        kind = _PATTERNS.get(_last(pattern.take("func")))
+        if kind is None:
+            raise ConfigError(
+                "this pattern of rays does not exist here", key=pattern.key, expected=", ".join(_PATTERNS)
+            )
+        node["pattern"] = {"_target_": f"wheelleg_exp.sim.sensors.{kind}"}
+        node["pattern"] |= pattern.take_if_known(
+            signature_parameters(resolve_target(node["pattern"]["_target_"], part.key))
+        )
+        pattern.finish()
+        node |= part.take_if_known(("max_distance", "drift_range", "ray_cast_drift_range", "update_period"))
+        self._report.add(part.key, NAME, "RayCaster")
+        part.skip("history_length", "mesh_prim_paths", *_SENSOR_DROPPED)
+        part.finish()
+        return node
+
+    def _imu(self, part: Section) -> dict[str, Any]:
+        node: dict[str, Any] = {
+            "_target_": "wheelleg_exp.sim.sensors.Imu",
+            "body_name": self._bodies(part.take("prim_path"))[0],
+        }
+        offset = part.section("offset")
+        node["offset"] = {
+            "pos": offset.take("pos", [0.0, 0.0, 0.0]),
+            "rot": self._quaternion(offset.take("rot"), offset.key),
+        }
+        node |= part.take_if_known(("gravity_bias", "update_period"))
+        self._report.add(part.key, NAME, "Imu")
+        part.skip("history_length", *_SENSOR_DROPPED)
+        part.finish()
+        return node
+
+    def _bodies(self, prim_path: Any) -> list[str]:
+        """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
+        if str(prim_path).startswith("/World/ground"):
+            return ["ground"]
+        return _new_names(str(prim_path or ".*").rsplit("/", 1)[-1], self._names)
+
+    # --- terms ---
+
+    def _terms(self, kind: str, part: Section) -> dict[str, Any]:
+        made: dict[str, Any] = dict(self.env.get(kind) or {})
+        for name, node in part.items():
+            key = f"{kind}.{name}"
+            if not isinstance(node, Mapping):
+                self._report.add(key, DROPPED, f"{shown(node)}: not a term")
+            elif kind == "observations":
+                made[name] = self._group(Section(node, key, self._report), name)
+            else:
+                term = self._term(kind, Section(node, key, self._report))
+                made |= {} if term is None else {name: term}
+        return made
+
+    def _group(self, part: Section, name: str) -> dict[str, Any]:
+        group: dict[str, Any] = {"terms": {}, "concatenate_terms": True, "enable_corruption": False}
+        group |= {"history_length": 0, "flatten_history_dim": True}
+        group |= part.take_if_known((*[key for key in group if key != "terms"], "concatenate_dim", "history_order"))
+        if group.get("concatenate_dim") == -1:
+            del group["concatenate_dim"]
+        for term, node in part.items():
+            key = f"{part.key}.{term}"
+            if not isinstance(node, Mapping):
+                self._report.add(key, DROPPED, f"{shown(node)}: not a term")
+                continue
+            made = self._term("observations", Section(node, key, self._report))
+            if made is None:
+                self.lost.append(name)
+            else:
+                if not made.get("history_length"):
+                    made.pop("history_length", None)
+                    made.pop("flatten_history_dim", None)
+                group["terms"][term] = made
+        if not group["history_length"]:
+            del group["history_length"]
+            del group["flatten_history_dim"]
+        return group
+
+    def _term(self, kind: str, part: Section) -> dict[str, Any] | None:
+        source = str(part.take("func") or part.take("class_type") or "")
+        part.take("class_type")
+        params = part.left.get("params")
+        target, name = self._target(kind, source, params if isinstance(params, Mapping) else ()), _last(source)
+        if target is None:
+            reason = getattr(import_module(f"wheelleg_exp.mdp.{_KINDS[kind]}"), "ABSENT", {}).get(name)
+            text = f"{source} {shown(part.left, 160)}" if reason is None else f"{source}: {reason}"
+            self._report.add(part.key, CODE if reason is None else DROPPED, text)
+            return None
+        node: dict[str, Any] = {"_target_": target}
+        own = target.startswith("wheelleg_exp.")
+        node |= {key: self._value(key, value) for key, value in part.take_if_known(RESERVED[kind]).items()}
+        if kind == "events" and node.get("mode") != "interval":
+            node.pop("interval_range_s", None)
+            node.pop("is_global_time", None)
+        if kind == "events" and node.get("mode") != "reset":
+            node.pop("min_step_count_between_reset", None)
+        params = part.section("params")
+        if kind in ("actions", "commands"):
+            params = part
+            period = part.left.get("resampling_time_range")
+            if isinstance(period, list) and 0.0 in period:
+                step = self.env["sim"]["dt"] * self.env["decimation"]
+                part.left["resampling_time_range"] = [max(time, step) for time in period]
+                self._report.add(
+                    f"{part.key}.resampling_time_range", RULE, f"{period}: a new draw in each control step"
+                )
+            part.skip(*(key for key in part.left if key == "debug_vis" or key.endswith("visualizer_cfg")))
+        accepted = set(signature_parameters(resolve_target(target, part.key))) if own else None
+        for key, value in params.items():
+            if key == "asset_name" and value == self._robot_name:
+                continue
+            if accepted is not None and key not in accepted:
+                self._report.add(f"{params.key}.{key}", DROPPED, f"{shown(value)}: '{name}' has no such parameter here")
+            else:
+                node[key] = self._value(key, value)
+        if kind == "actions" and not node.get("preserve_order") and "joint_names" in node:
+            node["joint_names"] = _one_expression(node["joint_names"])
+        part.finish()
+        self._report.add(part.key, NAME if own else RULE, name if own else f"{source} became {target}")
+        return node
+
+    def _target(self, kind: str, source: str, params: Iterable[str]) -> str | None:
+        module = f"wheelleg_exp.mdp.{_KINDS[kind]}"
+        stock = _STOCK.match(source) and callable(getattr(import_module(module), _last(source), None))
+        return f"{module}.{_last(source)}" if stock else self._user_target(source, params)
+
+    def _value(self, key: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            if "joint_names" in value and "body_names" in value and "name" in value:
+                name = "robot" if value["name"] == self._robot_name else value["name"]
+                chosen = {part: value[part] for part in ("joint_names", "body_names") if value[part] is not None}
+                if not value.get("preserve_order"):
+                    chosen = {part: _one_expression(names) for part, names in chosen.items()}
+                for part in ("joint_ids", "body_ids"):
+                    if value.get(part) is not None and part.replace("ids", "names") not in chosen:
+                        chosen[part] = value[part]
+                return _entity(name, **chosen, **({"preserve_order": True} if value.get("preserve_order") else {}))
+            kind = _last(value.get("func") or value.get("class_type"))
+            if key in ("noise", "noise_cfg", "bias_noise_cfg") and kind:
+                rest = {
+                    name: self._value(name, item) for name, item in value.items() if name not in ("func", "class_type")
+                }
+                kind = "NoiseModelWithAdditiveBias" if "bias_noise_cfg" in value else _NOISES.get(kind, kind)
+                return {"_target_": f"wheelleg_exp.mdp.noise.{kind}", **rest}
+            return {name: self._value(name, item) for name, item in value.items()}
+        if key == "modifiers" and isinstance(value, list):
+            made = []
+            for item in value:
+                kind = _last(item.get("func"))
+                made.append(
+                    {
+                        "_target_": f"wheelleg_exp.mdp.modifiers.{_MODIFIERS.get(kind, kind)}",
+                        **(item.get("params") or {}),
+                    }
+                )
+            return made
+        return value
+
+
+def _last(path: Any) -> str:
+    """Return the name after the module of a path such as ``isaaclab.envs.mdp.rewards:is_alive``."""
+    return re.split(r"[.:]", str(path or ""))[-1]
+
+
+def _spawned(node: Any) -> Any:
+    return (node.get("spawn") or {}).get("func") if isinstance(node, Mapping) else None
+
+
+def _renamed(value: Any, joints: Mapping[str, str], links: Mapping[str, str]) -> Any:
+    """Replace each expression that matches names of the run by the names of the robot file."""
+    if isinstance(value, Mapping):
+        found: dict[str, Any] = {}
+        for key, item in value.items():
+            own = (
+                (links, links) if key == "body_names" else (joints, joints) if "joint" in str(key) else (joints, links)
+            )
+            found |= dict.fromkeys(_new_names(str(key), joints), _renamed(item, *own))
+        return found
+    if isinstance(value, list):
+        renamed = [(item, _renamed(item, joints, links)) for item in value]
+        return [
+            part
+            for item, new in renamed
+            for part in (new if isinstance(item, str) and isinstance(new, list) else [new])
+        ]
+    if isinstance(value, str):
+        names = _new_names(value, {**links, **joints})
+        return names[0] if len(names) == 1 else names
+    return value
+
+
+def _new_names(expression: str, names: Mapping[str, str]) -> list[str]:
+    """Return the new names of the run's names that an expression matches; the expression itself if it matches none."""
+    try:
+        found = [] if expression == ".*" else [new for old, new in names.items() if re.fullmatch(expression, old)]
+    except re.error:
+        found = []
+    return found or [expression]
+
+
+def _matches(expressions: Any, name: str) -> bool:
+    names = [expressions] if isinstance(expressions, str) else expressions
+    return any(re.fullmatch(expression, name) for expression in names)
+
+
+def _one_expression(names: Any) -> Any:
+    """Return several expressions as one, because their order has no effect."""
+    return ["|".join(names)] if isinstance(names, list) and len(names) > 1 else names
+
+
+def _entity(name: str, **chosen: Any) -> dict[str, Any]:
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": name, **chosen}
+
+
+def _plane(static: float, dynamic: float) -> dict[str, Any]:
+    node = {"_target_": "wheelleg_exp.sim.terrain.Plane", "static_friction": static, "dynamic_friction": dynamic}
+    return {**node, "restitution": 0.0}

@@ -1,0 +1,114 @@
+"""The report of an import: what happened to each part of the imported config."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from wheelleg_exp.errors import ConfigError
+
+NAME, RULE, ASSUMED, DROPPED, CODE = "by name", "by rule", "assumed", "dropped", "needs code"
+NOT_NEEDED = "not needed"
+_MEANINGS = {
+    NAME: "the same name exists here, with the same parameters",
+    RULE: "written differently here, with the same meaning",
+    ASSUMED: "the folder does not say it: check it",
+    DROPPED: "has no counterpart, for the given reason",
+    CODE: "the author's own code: give its folder with --terms",
+    NOT_NEEDED: "does not change what the robot does",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One part of the imported config: its key, what happened to it, and details."""
+
+    key: str
+    outcome: str
+    text: str
+
+
+@dataclass
+class ImportReport:
+    """Collects the rows of an import, in the order of the imported file."""
+
+    rows: list[Row] = field(default_factory=list)
+
+    def add(self, key: str, outcome: str, text: str) -> None:
+        """Add a row."""
+        self.rows.append(Row(key, outcome, text))
+
+    def of(self, outcome: str) -> list[Row]:
+        """Return the rows with the given outcome."""
+        return [row for row in self.rows if row.outcome == outcome]
+
+    def counts(self) -> str:
+        """Return how many rows have each outcome, as text."""
+        found = Counter(row.outcome for row in self.rows)
+        return ", ".join(f"{found[outcome]} {outcome}" for outcome in _MEANINGS if found[outcome])
+
+    def markdown(self) -> str:
+        """Return the report as Markdown: one table per outcome."""
+        parts = [f"{self.counts()}.\n"]
+        for outcome, meaning in _MEANINGS.items():
+            rows = self.of(outcome)
+            if rows:
+                lines = [f"| `{row.key}` | {' '.join(row.text.split()).replace('|', '&#124;')} |" for row in rows]
+                head = f"## {outcome[0].upper()}{outcome[1:]}: {meaning}\n\n| key | here |\n|---|---|"
+                parts.append("\n".join([head, *lines, ""]))
+        return "\n".join(parts)
+
+
+class Section:
+    """A mapping of the imported config whose keys are taken one by one; ``finish`` reports the keys in ``left``."""
+
+    def __init__(self, tree: Any, key: str, report: ImportReport) -> None:
+        if tree is not None and not isinstance(tree, Mapping):
+            raise ConfigError(f"{shown(tree)} is not a mapping", key=key, expected="the mapping that Isaac Lab writes")
+        self.left: dict[str, Any] = dict(tree or {})
+        self.key, self._report = key, report
+
+    def take(self, name: str, default: Any = None) -> Any:
+        """Return and remove the value of a key; ``default`` if the key is missing or null."""
+        value = self.left.pop(name, None)
+        return default if value is None else value
+
+    def section(self, name: str) -> Section:
+        """Return and remove the mapping of a key."""
+        return Section(self.take(name), f"{self.key}.{name}" if self.key else name, self._report)
+
+    def take_if_known(self, names: Any) -> dict[str, Any]:
+        """Return and remove the keys in ``names`` that are present and not null."""
+        return {name: value for name in names if (value := self.take(name)) is not None}
+
+    def items(self) -> Iterator[tuple[str, Any]]:
+        """Yield and remove all remaining keys that are not null, with their values."""
+        while self.left:
+            name = next(iter(self.left))
+            value = self.take(name)
+            if value is not None:
+                yield name, value
+
+    def drop(self, names: Any, reason: str, outcome: str = DROPPED) -> None:
+        """Report the given keys as dropped, except empty ones."""
+        for name in names:
+            value = self.take(name)
+            if value not in (None, {}, [], False, ""):
+                self._report.add(f"{self.key}.{name}" if self.key else name, outcome, f"{shown(value)}: {reason}")
+
+    def skip(self, *names: str) -> None:
+        """Remove the given keys without a report: they only repeat what other keys say."""
+        for name in names:
+            self.take(name)
+
+    def finish(self, reason: str = "nothing here corresponds to it") -> None:
+        """Report all remaining keys as dropped."""
+        self.drop(list(self.left), reason)
+
+
+def shown(value: Any, width: int = 60) -> str:
+    """Return a value as short text."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= width else f"{text[: width - 1]}…"

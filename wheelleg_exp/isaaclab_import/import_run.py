@@ -1,0 +1,224 @@
+"""Import a folder: write a project with robot, task, and agent, and a run directory with the policy."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wheelleg_exp import packages as projects
+from wheelleg_exp.asset.convert_robot import read
+from wheelleg_exp.config.checking.find_mistakes import compose_valid, find_mistakes
+from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.files import for_people, temporary_folder, write_bytes
+from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent, is_runner
+from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
+from wheelleg_exp.isaaclab_import.deploy_folders import as_isaac_lab
+from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
+from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, RULE, ImportReport
+from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights, read_policy
+from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_folder, read_mapping
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.plain_data import dump_yaml
+from wheelleg_exp.project.create import project_files, require_place, require_robot_file, write
+from wheelleg_exp.project.robot_files import copy_robot
+from wheelleg_exp.rl import checkpoint
+
+_POLICY = "imported_policy.pt"
+_OPTIONAL = ("rewards", "curriculum", "events", "terminations")  # sections that do not change the policy
+_NUM_ENVS = 16  # environments of the run directory, which only plays the policy
+_ROBOT = "# @package env.robot\n# The robot of an imported run: docs/importing.md. README.md lists what was assumed.\n"
+_TASK = "# @package _global_\n# The task of an imported run. README.md lists what was assumed and dropped.\n"
+
+
+@dataclass(frozen=True)
+class Imported:
+    """An imported folder: the new project, its run directory (None without a policy), and the report."""
+
+    path: Path
+    name: str
+    run: Path | None
+    report: ImportReport
+
+
+def import_run(
+    source: Path,
+    robot: Path,
+    place: Path,
+    *,
+    policy: Path | None = None,
+    terms: Path | None = None,
+    names: Path | None = None,
+    command: Sequence[str] = (),
+    display: Display | None = None,
+) -> Imported:
+    """Import the folder ``source`` as a new project at ``place``.
+
+    ``robot`` is the robot's USD or URDF file, ``policy`` a policy file that replaces the folder's own, and ``terms`` a
+    folder with the author's Python code, of which only the needed definitions are copied. ``names`` is a YAML file that
+    maps the run's names of joints and links to names in the robot file. An error leaves no files.
+    """
+    path = require_place(place)
+    require_robot_file(robot)
+    folder, report, display = read_folder(source, policy), ImportReport(), display or Display()
+    weights = read_policy(folder.policy) if folder.policy is not None else None
+    author = AuthorTerms(terms, path.name)
+    with for_people(path), temporary_folder(path) as scratch:
+        draft = scratch / path.name
+        draft.mkdir()
+        task, lost = _write_project(draft, folder, robot, weights, author, report, names)
+        draft.rename(path)
+    try:
+        run = None if weights is None else _write_run(path, task, weights, lost, command, display, report)
+        write(path, {"README.md": _readme(path.name, folder, report)})
+    except BaseException:
+        shutil.rmtree(path, ignore_errors=True)
+        raise
+    finally:
+        projects.forget(path)
+    return Imported(path, path.name, run, report)
+
+
+def _write_project(
+    draft: Path,
+    folder: RunFolder,
+    robot: Path,
+    weights: PolicyWeights | None,
+    author: AuthorTerms,
+    report: ImportReport,
+    names: Path | None,
+) -> tuple[dict[str, Any], list[str]]:
+    """Write the files of the project, and return its task and the observation groups that lack a term."""
+    name, copied = draft.name, copy_robot(robot, draft / "assets" / draft.name)
+    description, _ = read(copied, "auto", {})
+    dofs = {dof.name: dof for body in description.bodies for dof in body.dofs}
+    try:
+        tree, agent_tree = folder.config, folder.agent
+        if folder.kind != "env.yaml":
+            tree = as_isaac_lab(folder, copied, dofs, report)
+        clip = tree.pop("clip_actions", None)
+        mapping = EnvMapping(tree, dofs, author.target, report, read_mapping(names) if names is not None else None)
+        mapping.convert()
+        if agent_tree is not None and not is_runner(agent_tree):
+            report.add("agent.yaml", DROPPED, "the settings of another library than rsl_rl")
+            agent_tree = None
+        agent = convert_agent(agent_tree, list(mapping.env["observations"]), weights, report)
+        agent |= {"clip_actions": clip} if clip is not None else {}
+    except WheellegError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise malformed(folder.config_file, error) from error
+    if mapping.lost and weights is not None:
+        lost = [group for group in agent["obs_groups"]["actor"] if group in mapping.lost]
+        if lost:
+            rows = [
+                row.key
+                for row in report.rows
+                if row.key.startswith(f"observations.{lost[0]}.") and row.outcome != "by name"
+            ]
+            expected = "--terms FOLDER with the author's Python code"
+            raise ConfigError("the policy observes a term that does not exist here", key=rows[0], expected=expected)
+    mapping.env["terminations"].setdefault(
+        "non_finite_state", {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
+    )
+    asset = {"profile": name, "asset": f"{name}/{copied.name}"}
+    task: dict[str, Any] = {"defaults": [{"/robot": name}, {"/sim": "parity"}, "_self_"]}
+    task |= {"task": {"name": name}, "env": mapping.env, "agent": agent}
+    if mapping.seed is not None:
+        task["seed"] = mapping.seed
+    texts = {f"configs/robot/{name}.yaml": _ROBOT + dump_yaml(asset | mapping.robot)}
+    texts[f"configs/task/{name}.yaml"] = _TASK + dump_yaml(task)
+    common = project_files(name, asset["asset"], [])
+    texts |= {file: common[file] for file in ("pyproject.toml", ".gitignore", f"{name}/__init__.py")}
+    texts |= {f"{name}/{module}.py": text for module, text in author.modules().items()}
+    write(draft, texts)
+    try:
+        while mistakes := find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])[1]:
+            removed = [_without_failing_term(draft, task, mistake, report) for mistake in mistakes]
+            if not any(removed):
+                for mistake in mistakes:
+                    mistake.where = None  # the file of the draft
+                raise_all(mistakes)
+    finally:
+        projects.forget(draft)
+    return task, mapping.lost
+
+
+def _write_run(
+    path: Path,
+    task: dict[str, Any],
+    weights: PolicyWeights,
+    lost: Sequence[str],
+    command: Sequence[str],
+    display: Display,
+    report: ImportReport,
+) -> Path:
+    from wheelleg_exp.jobs.train.prepare_training import prepare
+    from wheelleg_exp.jobs.train.run_training import record_untrained
+
+    configs = [path / projects.CONFIGS]
+    composed = compose_valid([f"task={path.name}"], config_dirs=configs)
+    agent = composed.config["agent"]
+    actor, critic = weights.actor.state(), weights.critic.state() if weights.critic is not None else {}
+    std = weights.std
+    if std is None:
+        init = agent["actor"]["distribution_cfg"]["init_std"]
+        std = torch.full((weights.actor.widths[1],), float(init))
+        report.add("policy", ASSUMED, f"a standard deviation of {init} of the actions, for training only")
+    actor["distribution.std_param"] = std.detach().clone()
+    state = {"format_version": checkpoint.FORMAT_VERSION, "iter": weights.iteration, "actor_state_dict": actor}
+    state["critic_state_dict"] = critic
+    what = "policy"
+    if critic and not set(lost) & set(agent["obs_groups"]["critic"]):
+        what = "networks"
+        if weights.optimizer is not None:
+            what, state["optimizer_state_dict"] = "learning", dict(weights.optimizer)
+    else:
+        report.add("policy", ASSUMED, "a new critic: training must first learn the values of states")
+    report.add("policy", RULE, f"{weights.path.name}: {what}, of iteration {weights.iteration}")
+    write_bytes(path / _POLICY, checkpoint.serialize(state))
+    words = [f"task={path.name}", f"init_from={path / _POLICY}", f"init_from_what={what}", f"run.root={path / 'runs'}"]
+    words += [f"env.num_envs={_NUM_ENVS}", "run.name=imported", "recording.enabled=false"]
+    while True:
+        try:
+            training = prepare(compose_valid(words, config_dirs=configs), command, display)
+            break
+        except ConfigError as error:
+            if not _without_failing_term(path, task, error, report):
+                raise
+    record_untrained(training, display)
+    return training.directory.path
+
+
+def _without_failing_term(path: Path, task: dict[str, Any], error: ConfigError, report: ImportReport) -> bool:
+    """Remove the author's term that an error names from the task, unless the policy needs the term."""
+    parts = (error.key or "").split(".")
+    section = task["env"].get(parts[1]) if len(parts) > 2 and parts[1] in _OPTIONAL else None
+    if not section or not str(section.get(parts[2], {}).get("_target_")).startswith(f"{path.name}."):
+        return False
+    del section[parts[2]]
+    report.add(".".join(parts[1:3]), CODE, f"the copied function fails: {error.message}")
+    write(path, {f"configs/task/{path.name}.yaml": _TASK + dump_yaml(task)})
+    return True
+
+
+def _readme(name: str, folder: RunFolder, report: ImportReport) -> str:
+    return f"""# {name}
+
+Imported from `{folder.path.name}/{folder.config_file.name}`. `configs/robot/{name}.yaml` and `configs/task/{name}.yaml`
+are the robot and the task; `runs/` has a run directory with the policy.
+
+```bash
+wheelleg play latest --drive            # drive the robot, or: wheelleg play latest
+wheelleg evaluate latest protocol=walk  # measure the policy
+wheelleg train task={name} init_from={_POLICY}   # train further
+```
+
+# What was imported
+
+{report.markdown()}"""

@@ -1,0 +1,202 @@
+"""Read the networks of a policy from a checkpoint of rsl_rl, a TorchScript file, or an ONNX file, without running it.
+
+Only multilayer perceptrons are read: linear layers with one activation between them, and an optional normalization of
+the observation. Isaac Lab writes such policies for its locomotion tasks.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.plain_data import require_bounded
+
+_EPSILON = 1e-2  # rsl_rl divides by the standard deviation plus this number.
+_LFS = b"version https://git-lfs"
+_LAYER = re.compile(r"(\d+)\.(weight|bias)")
+_ACTIVATIONS = {
+    "Elu": "elu", "ELU": "elu", "Relu": "relu", "ReLU": "relu", "Tanh": "tanh", "LeakyRelu": "lrelu",
+    "LeakyReLU": "lrelu", "Selu": "selu", "SELU": "selu", "Sigmoid": "sigmoid",
+}  # fmt: skip
+_EXPECTED = "a model_<iteration>.pt of rsl_rl, or a policy.pt or policy.onnx that Isaac Lab exported"
+
+
+@dataclass
+class Network:
+    """A multilayer perceptron: weights and biases of each layer, and the observation's mean and deviation (or None)."""
+
+    layers: list[tuple[torch.Tensor, torch.Tensor]]
+    mean: torch.Tensor | None = None
+    deviation: torch.Tensor | None = None
+    count: int = 0
+
+    @property
+    def hidden(self) -> list[int]:
+        """The numbers of units of the hidden layers."""
+        return [len(bias) for _, bias in self.layers[:-1]]
+
+    @property
+    def widths(self) -> tuple[int, int]:
+        """The numbers of inputs and outputs."""
+        return self.layers[0][0].shape[1], len(self.layers[-1][1])
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return the parameters with the names of rsl_rl's MLPModel."""
+        found: dict[str, torch.Tensor] = {}
+        if self.mean is not None and self.deviation is not None:
+            mean, deviation = self.mean.reshape(1, -1), self.deviation.reshape(1, -1)
+            found |= {"obs_normalizer._mean": mean, "obs_normalizer._var": deviation**2}
+            found |= {"obs_normalizer._std": deviation, "obs_normalizer.count": torch.tensor(self.count)}
+        for number, (weight, bias) in enumerate(self.layers):
+            found |= {f"mlp.{2 * number}.weight": weight, f"mlp.{2 * number}.bias": bias}
+        return {name: value.detach().clone().contiguous() for name, value in found.items()}
+
+
+@dataclass
+class PolicyWeights:
+    """The networks of a policy file; ``std`` is the standard deviation of each action, ``activation`` rsl_rl's name."""
+
+    path: Path
+    actor: Network
+    critic: Network | None = None
+    std: torch.Tensor | None = None
+    activation: str | None = None
+    optimizer: Mapping[str, Any] | None = None
+    iteration: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+def read_policy(path: Path) -> PolicyWeights:
+    """Read a policy file. RunDirectoryError means that the file is damaged, or contains another kind of network."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(len(_LFS))
+    except OSError as error:
+        raise RunDirectoryError(f"the policy cannot be read: {error.strerror}", key=str(path)) from error
+    if start == _LFS:
+        raise RunDirectoryError(
+            "the file is a pointer of Git LFS, not the policy", key=str(path), expected="git lfs pull"
+        )
+    try:
+        if path.suffix == ".onnx":
+            return _from_onnx(path)
+        state = _tensors(path)
+    except RunDirectoryError:
+        raise
+    except Exception as error:  # Damaged files raise many types of errors.
+        message = f"the policy cannot be read: {' '.join(str(error).split())[:160] or type(error).__name__}"
+        raise RunDirectoryError(message, key=str(path), expected=_EXPECTED) from error
+    return state
+
+
+def _tensors(path: Path) -> PolicyWeights:
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            require_bounded(archive)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:
+            try:
+                module = torch.jit.load(path, map_location="cpu")
+            except RuntimeError:
+                raise error from None
+            found = PolicyWeights(path, _network(module.state_dict(), "actor", "normalizer", path))
+            kinds = [str(getattr(part, "original_name", "")) for _, part in module.named_modules()]
+            found.activation = next((_ACTIVATIONS[kind] for kind in kinds if kind in _ACTIVATIONS), None)
+            return found
+    if not isinstance(state, Mapping):
+        raise RunDirectoryError("the file contains no networks", key=str(path), expected=_EXPECTED)
+    whole = state.get("model_state_dict", state)
+    if "actor_state_dict" in state:  # rsl_rl since 4.0
+        actor, critic = state["actor_state_dict"], state.get("critic_state_dict") or {}
+        found = PolicyWeights(path, _network(actor, "mlp", "obs_normalizer", path))
+        found.critic = _network(critic, "mlp", "obs_normalizer", path) if critic else None
+        std, log_std = actor.get("distribution.std_param"), actor.get("distribution.log_std_param")
+    else:
+        found = PolicyWeights(path, _network(whole, "actor", "actor_obs_normalizer", path))
+        if any(name.startswith("critic.") for name in whole):
+            found.critic = _network(whole, "critic", "critic_obs_normalizer", path)
+        std, log_std = whole.get("std"), whole.get("log_std")
+        for network, key in ((found.actor, "obs_norm_state_dict"), (found.critic, "privileged_obs_norm_state_dict")):
+            if network is not None and isinstance(state.get(key), Mapping):  # rsl_rl before 3.0
+                _normalize(network, state[key], "")
+    found.std = std if std is not None else log_std.exp() if log_std is not None else None
+    found.iteration = int(state.get("iter", 0))
+    found.optimizer = state.get("optimizer_state_dict")
+    return found
+
+
+def _network(state: Mapping[str, Any], prefix: str, normalizer: str, path: Path) -> Network:
+    if any(".rnn." in name or name.startswith("memory") for name in state):
+        raise RunDirectoryError("the policy is recurrent", key=str(path), expected="a multilayer perceptron")
+    layers: dict[int, dict[str, torch.Tensor]] = {}
+    for name, value in state.items():
+        found = _LAYER.fullmatch(name.removeprefix(f"{prefix}.")) if name.startswith(f"{prefix}.") else None
+        if found and isinstance(value, torch.Tensor):
+            layers.setdefault(int(found[1]), {})[found[2]] = value.float()
+    made = [(part["weight"], part["bias"]) for _, part in sorted(layers.items()) if len(part) == 2]
+    joined = all(a[0].shape[0] == b[0].shape[1] for a, b in pairwise(made))
+    if not made or len(made) != len(layers) or not joined:
+        raise RunDirectoryError(f"the file has no multilayer perceptron '{prefix}'", key=str(path), expected=_EXPECTED)
+    network = Network(made)
+    _normalize(network, state, f"{normalizer}.")
+    return network
+
+
+def _normalize(network: Network, state: Mapping[str, Any], prefix: str) -> None:
+    if f"{prefix}_mean" in state:
+        network.mean, network.deviation = state[f"{prefix}_mean"].float(), state[f"{prefix}_std"].float()
+        network.count = int(state.get(f"{prefix}count", 0))
+
+
+def _from_onnx(path: Path) -> PolicyWeights:
+    import onnx
+    from onnx import numpy_helper
+
+    graph = onnx.load(str(path)).graph
+    values = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Constant":
+            values[node.output[0]] = torch.tensor(numpy_helper.to_array(node.attribute[0].t))
+    layers, network = list[tuple[torch.Tensor, torch.Tensor]](), Network([])
+    activation, current, pending = None, None, None
+    for node in graph.node:
+        known = [values[name].float() for name in node.input if name in values]
+        kind = node.op_type
+        if current is not None and current not in node.input and kind != "Constant":
+            continue  # not on the way from the observation to the action
+        if kind == "Gemm" and len(known) == 2:
+            transposed = any(item.name == "transB" and item.i for item in node.attribute)
+            layers.append((known[0] if transposed else known[0].T, known[1]))
+        elif kind == "MatMul" and len(known) == 1:
+            pending = known[0].T
+        elif kind == "Add" and pending is not None and len(known) == 1:
+            layers.append((pending, known[0].reshape(-1)))
+            pending = None
+        elif kind == "Sub" and len(known) == 1 and not layers:
+            network.mean = known[0].reshape(-1)
+        elif kind == "Div" and len(known) == 1 and not layers:
+            network.deviation = known[0].reshape(-1) - _EPSILON
+        elif kind in _ACTIVATIONS:
+            activation = _ACTIVATIONS[kind]
+        elif kind not in ("Constant", "Identity", "Cast", "Flatten", "Squeeze"):
+            message = f"the policy has the operation '{kind}'"
+            raise RunDirectoryError(message, key=str(path), expected="a multilayer perceptron")
+        current = node.output[0] if kind != "Constant" else current
+    if not layers:
+        raise RunDirectoryError("the policy has no linear layers", key=str(path), expected=_EXPECTED)
+    if network.mean is not None and network.deviation is None:
+        raise RunDirectoryError("the policy's normalization is not rsl_rl's", key=str(path), expected=_EXPECTED)
+    network.layers = layers
+    return PolicyWeights(path, network, activation=activation)

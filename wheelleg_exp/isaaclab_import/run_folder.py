@@ -1,0 +1,88 @@
+"""Find and read the files of an imported folder. Nothing in these files is executed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.files import read_bytes
+from wheelleg_exp.plain_data import Unreadable, tagged_yaml_value
+
+_LARGEST = 16 << 20  # bytes of a YAML file
+_CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+_POLICIES = ("policy.onnx", "policy.pt")
+_LFS = b"version https://git-lfs"
+# The file that describes the environment: an Isaac Lab run, unitree_rl_lab, rl_sar.
+KINDS = {"env.yaml": "an Isaac Lab run", "deploy.yaml": "a deployment of unitree_rl_lab", "config.yaml": "rl_sar"}
+_EXPECTED = "an Isaac Lab run with params/env.yaml, or a folder with deploy.yaml or rl_sar's config.yaml"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of an imported folder: kind of the config, its content, the agent's settings, and the policy."""
+
+    path: Path
+    kind: str
+    config: dict[str, Any]
+    config_file: Path
+    agent: dict[str, Any] | None
+    policy: Path | None
+
+
+def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
+    """Read an imported folder. ``policy`` replaces the policy that the folder contains."""
+    if not path.exists():
+        siblings = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
+        near = nearest_name(path.name, siblings)
+        nearest = str(path.with_name(near)) if near else None
+        raise RunDirectoryError("the folder does not exist", key=str(path), expected=_EXPECTED, nearest=nearest)
+    folder = path.parent if path.is_file() else path
+    places = [path.name] if path.is_file() else [f"{below}{kind}" for kind in KINDS for below in ("params/", "")]
+    file = next((folder / place for place in places if (folder / place).is_file()), None)
+    if file is None or file.name not in KINDS:
+        raise RunDirectoryError("the folder contains no run", key=str(path), expected=_EXPECTED)
+    root = file.parent.parent if file.parent.name == "params" else file.parent
+    agent = file.with_name("agent.yaml")
+    if policy is not None and not policy.is_file():
+        raise RunDirectoryError("there is no such file", key=f"--policy {policy}", expected="a policy file")
+    content = _read(agent) if agent.is_file() else None
+    return RunFolder(root, file.name, _read(file), file, content, policy or _policy(root))
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """Return the content of a YAML file that must be a mapping."""
+    return _read(path)
+
+
+def _policy(root: Path) -> Path | None:
+    """Return the policy of a folder: the newest checkpoint, or an exported policy."""
+    numbered = {int(found[1]): item for item in root.iterdir() if (found := _CHECKPOINT.fullmatch(item.name))}
+    if numbered:
+        return numbered[max(numbered)]
+    places = [root / below / name for below in ("exported", "") for name in _POLICIES]
+    return next((place for place in places if place.is_file()), None)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    data = read_bytes(path, _LARGEST)
+    if data.startswith(_LFS):
+        raise RunDirectoryError("the file is a pointer of Git LFS", key=str(path), expected="git lfs pull")
+    try:
+        value = tagged_yaml_value(data)
+    except Unreadable as error:
+        where = str(path) if error.line is None else f"{path}:{error.line}"
+        raise RunDirectoryError(f"the YAML file cannot be read: {error.problem}", where=where) from error
+    if not isinstance(value, Mapping):
+        raise RunDirectoryError("the file contains no mapping", key=str(path), expected=_EXPECTED)
+    return dict(value)
+
+
+def malformed(path: Path, error: Exception) -> WheellegError:
+    """Return the error for a config whose values have other types than Isaac Lab writes."""
+    text = " ".join(str(error).split())[:160]
+    message = f"the file does not have Isaac Lab's structure ({type(error).__name__}: {text})"
+    return RunDirectoryError(message, key=str(path), expected="the file as Isaac Lab wrote it")
