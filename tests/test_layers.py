@@ -34,7 +34,7 @@ LAYERS = (
     ("recording",),
     ("verify",),
     ("jobs",),
-    ("robot_logs",),
+    ("robot_logs", "isaaclab_import"),
     ("inspection",),
     ("report",),
     ("cli",),

@@ -13,18 +13,25 @@ from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, wr
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.isaaclab_import.import_report import CODE, RULE
+from wheelleg_exp.isaaclab_import.import_report import CODE
 from wheelleg_exp.isaaclab_import.import_run import import_run
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.run.run_directory import RunDirectory
 
 
-def test_an_imported_run_plays_and_trains_further(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder, policy = write_run(tmp_path / "run")
-    made = import_run(folder, ROBOT, tmp_path / "flip0", terms=write_terms(tmp_path / "lab"))
-    assert made.run is not None and not made.report.of(CODE)
-    assert [row.key for row in made.report.rows if row.outcome == RULE and "rewards.own" in row.key] == ["rewards.own"]
-    run = RunDirectory.open(made.run, tmp_path)
+def test_an_imported_run_plays_and_trains_further(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, policy = write_run(tmp_path / "run", ENV.replace("'.*03': 0.0", "left_wheel: 0.0"))
+    write_terms(tmp_path / "lab")
+    (tmp_path / "names.yaml").write_text("left_wheel: l03\n")
+    monkeypatch.chdir(tmp_path)
+    words = ["import", "run", "--robot", str(ROBOT), "--terms", "lab", "--names", "names.yaml", "--output", "flip0"]
+    assert main([*words, "--policy", "run/model_700.pt"]) == 0
+    printed = capsys.readouterr().out
+    assert "needs code" not in printed and "dropped: scene.cube" in printed and "next: cd flip0" in printed
+    project = tmp_path / "flip0"
+    run = RunDirectory.open("latest", project / "runs")
     state = checkpoints.load(run.latest_checkpoint())
     torch.testing.assert_close(state["actor_state_dict"]["mlp.0.weight"], policy.actor[0].weight.detach())
     torch.testing.assert_close(state["critic_state_dict"]["mlp.4.bias"], policy.critic[4].bias.detach())
@@ -32,14 +39,14 @@ def test_an_imported_run_plays_and_trains_further(tmp_path: Path, monkeypatch: p
     moments = state["optimizer_state_dict"]["state"]
     assert len(moments) == len(saved) == 13
     torch.testing.assert_close(moments[5]["exp_avg"], saved[5]["exp_avg"])
-    monkeypatch.chdir(made.path)
+    monkeypatch.chdir(project)
     exported = torch.jit.load(run.exported / "policy.pt")
     x = torch.randn(5, 25)
     torch.testing.assert_close(exported(x), policy.actor(x), atol=1e-5, rtol=1e-5)
-    assert main(["play", str(made.run), "env.episode_length_s=0.4", "env.num_envs=2"]) == 0
-    assert main(["resume", str(made.run), "agent.max_iterations=2"]) == 0
+    assert main(["play", str(run.path), "env.episode_length_s=0.4", "env.num_envs=2"]) == 0
+    assert main(["resume", str(run.path), "agent.max_iterations=2"]) == 0
     assert main(["check", "task=flip0"]) == 0
-    text = (made.path / "README.md").read_text()
+    text = (project / "README.md").read_text()
     assert "rigid_object" not in text and "scene.cube" in text and "{{" not in text
 
 

@@ -32,7 +32,7 @@ from wheelleg_exp.rl import checkpoint
 _POLICY = "imported_policy.pt"
 _OPTIONAL = ("rewards", "curriculum", "events", "terminations")  # sections that do not change the policy
 _NUM_ENVS = 16  # environments of the run directory, which only plays the policy
-_ROBOT = "# @package env.robot\n# The robot of an imported run: docs/importing.md. README.md lists what was assumed.\n"
+_ROBOT = "# @package env.robot\n# The robot of an imported run: docs/isaaclab.md. README.md lists what was assumed.\n"
 _TASK = "# @package _global_\n# The task of an imported run. README.md lists what was assumed and dropped.\n"
 
 
