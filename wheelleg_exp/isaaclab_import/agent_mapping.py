@@ -72,6 +72,8 @@ def convert_agent(
             own.take(skipped)
         own.finish()
     agent["actor"]["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": float(std)}
+    if tree is None and weights is not None and weights.activation is None:
+        report.add("agent.yaml.policy.activation", ASSUMED, f"{activation}: the policy file does not name it")
     if tree is None:
         report.add("agent.yaml", ASSUMED, "there is none: the stock settings of PPO, with the networks of the policy")
     else:

@@ -164,14 +164,22 @@ def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
         dict(zip(joints, config[name], strict=True))
         for name in ("action_scale", "clip_actions_lower", "clip_actions_upper")
     )
-    bound = max(map(abs, [*low.values(), *high.values()]))
+    bounds = {abs(bound) for bound in (*low.values(), *high.values())}
     tree["actions"] = {}
     for name, kind, chosen in (("joint_pos", "Position", legs), ("joint_vel", "Velocity", wheels)):
         if chosen:
-            node = {"class_type": f"{_MDP}.actions.joint_actions:Joint{kind}Action", "joint_names": chosen}
-            tree["actions"][name] = {**node, "preserve_order": True, "scale": {joint: scale[joint] for joint in chosen}}
-    report.add("clip_actions", RULE, f"agent.clip_actions={bound}, the largest of the bounds")
-    tree["clip_actions"] = bound
+            node: Tree = {"class_type": f"{_MDP}.actions.joint_actions:Joint{kind}Action", "joint_names": chosen}
+            node |= {"preserve_order": True, "scale": {joint: scale[joint] for joint in chosen}}
+            if len(bounds) > 1:
+                centre = dict.fromkeys(wheels, 0.0) | dict(zip(joints, config["default_dof_pos"], strict=True))
+                edges = {joint: [end[joint] * scale[joint] + centre[joint] for end in (low, high)] for joint in chosen}
+                node["clip"] = edges
+            tree["actions"][name] = node
+    if len(bounds) > 1:
+        report.add("clip_actions", RULE, "bounds of the targets; the observation of the last action has no bounds")
+    else:
+        tree["clip_actions"] = bounds.pop()
+        report.add("clip_actions", RULE, f"agent.clip_actions={tree['clip_actions']}")
     terms = {}
     for name in config["observations"]:
         if name not in _OBSERVATIONS:

@@ -22,7 +22,8 @@ from wheelleg_exp.plain_data import require_bounded
 
 _EPSILON = 1e-2  # rsl_rl divides by the standard deviation plus this number.
 _LFS = b"version https://git-lfs"
-_LAYER = re.compile(r"(\d+)\.(weight|bias)")
+_LAYER = re.compile(r"(?:fc)?(\d+)\.(weight|bias)")
+_PARTS = ("actor", "critic", "std", "log_std", "mlp", "distribution")  # besides normalizers
 _ACTIVATIONS = {
     "Elu": "elu", "ELU": "elu", "Relu": "relu", "ReLU": "relu", "Tanh": "tanh", "LeakyRelu": "lrelu",
     "LeakyReLU": "lrelu", "Selu": "selu", "SELU": "selu", "Sigmoid": "sigmoid",
@@ -138,8 +139,12 @@ def _tensors(path: Path) -> PolicyWeights:
 
 
 def _network(state: Mapping[str, Any], prefix: str, normalizer: str, path: Path) -> Network:
-    if any(".rnn." in name or name.startswith("memory") for name in state):
+    if any("rnn." in name or name.startswith("memory") for name in state):
         raise RunDirectoryError("the policy is recurrent", key=str(path), expected="a multilayer perceptron")
+    more = [part for name in state if (part := name.split(".")[0]) not in _PARTS and "normalizer" not in part]
+    if more:
+        message = f"the policy has another network, '{more[0]}'"
+        raise RunDirectoryError(message, key=str(path), expected="a multilayer perceptron")
     layers: dict[int, dict[str, torch.Tensor]] = {}
     for name, value in state.items():
         found = _LAYER.fullmatch(name.removeprefix(f"{prefix}.")) if name.startswith(f"{prefix}.") else None

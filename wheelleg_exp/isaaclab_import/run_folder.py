@@ -50,7 +50,8 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
     if policy is not None and not policy.is_file():
         raise RunDirectoryError("there is no such file", key=f"--policy {policy}", expected="a policy file")
     content = _read(agent) if agent.is_file() else None
-    return RunFolder(root, file.name, _read(file), file, content, policy or _policy(root))
+    config = _read(file)
+    return RunFolder(root, file.name, config, file, content, policy or _policy(root, config))
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -58,12 +59,14 @@ def read_mapping(path: Path) -> dict[str, Any]:
     return _read(path)
 
 
-def _policy(root: Path) -> Path | None:
-    """Return the policy of a folder: the newest checkpoint, or an exported policy."""
+def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
+    """Return a folder's policy: the newest checkpoint, an exported policy, or the one that rl_sar names."""
     numbered = {int(found[1]): item for item in root.iterdir() if (found := _CHECKPOINT.fullmatch(item.name))}
     if numbered:
         return numbered[max(numbered)]
     places = [root / below / name for below in ("exported", "") for name in _POLICIES]
+    named = [value.get("model_name") for value in config.values() if isinstance(value, Mapping)]
+    places += [root / Path(name).name for name in named if isinstance(name, str)]
     return next((place for place in places if place.is_file()), None)
 
 
