@@ -189,7 +189,7 @@ policy:
   activation: elu
 algorithm: {class_name: PPO, num_learning_epochs: 4, gamma: 0.98, entropy_coef: 0.01, rnd_cfg: null}
 """
-TERMS = '''
+TERMS = """
 from __future__ import annotations
 
 import torch
@@ -211,7 +211,7 @@ def tilt_cost(env: ManagerBasedRLEnv, power: float, asset_cfg: SceneEntityCfg = 
 
 def unused(env):
     return pandas.DataFrame()
-'''
+"""
 HELPERS = "import torch\n\n\ndef squared(x):\n    return torch.square(x)\n"
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_terms
 
+from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_terms
 from wheelleg_exp.asset.convert_robot import read
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent
@@ -46,7 +46,7 @@ IGNORED = ("viewer", "intensity", "min_step_count_between_reset")  # the last ac
 PATHS = [(name, path) for name, tree in TREES.items() for path in numbers(tree)]
 
 
-@pytest.mark.parametrize("name, path", PATHS, ids=lambda value: ".".join(map(str, value)) if value else "")
+@pytest.mark.parametrize(("name", "path"), PATHS, ids=lambda value: ".".join(map(str, value)) if value else "")
 def test_no_number_is_lost(name: str, path: tuple[Any, ...]) -> None:
     trees = copy.deepcopy(TREES)
     node = trees[name]
@@ -61,11 +61,16 @@ def test_no_number_is_lost(name: str, path: tuple[Any, ...]) -> None:
 def test_values() -> None:
     mapping, agent, report = converted(ENV, AGENT)
     env, robot = mapping.env, mapping.robot
-    assert env["sim"] == {"dt": 0.005, "gravity": [0.0, 0.0, -9.81]} and env["decimation"] == 4
-    assert robot["friction_combine_mode"] == "multiply" and robot["self_collisions"] is False
+    assert env["sim"] == {"dt": 0.005, "gravity": [0.0, 0.0, -9.81]}
+    assert env["decimation"] == 4
+    assert robot["friction_combine_mode"] == "multiply"
+    assert robot["self_collisions"] is False
     legs, wheels = robot["actuators"]["legs"], robot["actuators"]["wheels"]
-    assert legs["_target_"].endswith("DCMotor") and legs["saturation_effort"] == 4.0 and legs["friction"] == 0.01
-    assert legs["stiffness"] == {".*01": 3.0, ".*02": 2.5} and legs["velocity_limit"] == 30.0
+    assert legs["_target_"].endswith("DCMotor")
+    assert legs["saturation_effort"] == 4.0
+    assert legs["friction"] == 0.01
+    assert legs["stiffness"] == {".*01": 3.0, ".*02": 2.5}
+    assert legs["velocity_limit"] == 30.0
     assert wheels["effort_limit"] == 9.0
     limits = {name: dof.max_velocity for name, dof in DOFS.items() if name.endswith("03")}
     assert wheels["velocity_limit"] == next(iter(limits.values()))  # from the robot's file
@@ -75,13 +80,21 @@ def test_values() -> None:
     assert noise == {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "operation": "add", "n_min": -0.2, "n_max": 0.2}
     assert group["terms"]["joint_pos"]["asset_cfg"]["joint_names"] == [".*0[12]"]
     event = env["events"]["physics_material"]
-    assert event["static_friction_range"] == [0.9, 0.9] and event["dynamic_friction_range"] == [0.8, 0.8]
-    assert env["events"]["push"]["interval_range_s"] == [2.0, 3.0] and "interval_range_s" not in env["events"]["reset_base"]
-    assert agent["algorithm"]["gamma"] == 0.98 and agent["actor"]["hidden_dims"] == [32, 16]
-    assert agent["actor"]["distribution_cfg"]["init_std"] == 0.8 and agent["obs_groups"]["critic"] == ["policy"]
+    assert event["static_friction_range"] == [0.9, 0.9]
+    assert event["dynamic_friction_range"] == [0.8, 0.8]
+    assert env["events"]["push"]["interval_range_s"] == [2.0, 3.0]
+    assert "interval_range_s" not in env["events"]["reset_base"]
+    assert agent["algorithm"]["gamma"] == 0.98
+    assert agent["actor"]["hidden_dims"] == [32, 16]
+    assert agent["actor"]["distribution_cfg"]["init_std"] == 0.8
+    assert agent["obs_groups"]["critic"] == ["policy"]
     outcomes = {row.key: row.outcome for row in report.rows}
     expected = {"rewards.own": CODE, "scene.cube": DROPPED, "scene.sky_light": NOT_NEEDED, "viewer": NOT_NEEDED}
-    expected |= {"sim.physx": DROPPED, "sim.physics_material": RULE, "scene.robot.actuators.wheels.velocity_limit": ASSUMED}
+    expected |= {
+        "sim.physx": DROPPED,
+        "sim.physics_material": RULE,
+        "scene.robot.actuators.wheels.velocity_limit": ASSUMED,
+    }
     assert {key: outcomes.get(key) for key in expected} == expected
 
 
@@ -108,11 +121,15 @@ def test_terrain_tiles() -> None:
         "star": {"function": "isaaclab.terrains.trimesh.mesh_terrains:star_terrain", "proportion": 0.3},
     }  # fmt: skip
     generator = {"size": [8.0, 8.0], "num_rows": 10, "num_cols": 20, "curriculum": True, "sub_terrains": tiles}
-    text = changed(changed(ENV, "scene.terrain.terrain_type", "generator"), "scene.terrain.terrain_generator", generator)
+    text = changed(
+        changed(ENV, "scene.terrain.terrain_type", "generator"), "scene.terrain.terrain_generator", generator
+    )
     mapping, _, report = converted(text, AGENT)
     made = mapping.env["scene"]["terrain"]["sub_terrains"]
     assert made["slope"]["slope_range"] == pytest.approx([0.0, 0.3805063771])  # atan(0.4)
-    assert made["pit"]["box_height_range"] == [0.05, 0.2] and made["pit"]["inverted"] and made["pit"]["double_box"]
+    assert made["pit"]["box_height_range"] == [0.05, 0.2]
+    assert made["pit"]["inverted"]
+    assert made["pit"]["double_box"]
     assert [row.key.rsplit(".", 1)[-1] for row in report.of(DROPPED) if "star" in row.key] == ["star"]
 
 
@@ -127,7 +144,9 @@ def test_author_terms(tmp_path: Path) -> None:
     assert terms.target("my_lab.tasks.mdp.rewards:tilt_cost") == "mine.rewards.tilt_cost"
     assert terms.target("my_lab.tasks.mdp.rewards:absent") is None
     modules = terms.modules()
-    assert set(modules) == {"rewards", "helpers"} and "unused" not in modules["rewards"]
-    assert "pandas" not in modules["rewards"] and "FACTOR = 0.5" in modules["rewards"]
+    assert set(modules) == {"rewards", "helpers"}
+    assert "unused" not in modules["rewards"]
+    assert "pandas" not in modules["rewards"]
+    assert "FACTOR = 0.5" in modules["rewards"]
     assert "from wheelleg_exp.isaaclab.managers import SceneEntityCfg" in modules["rewards"]
     assert "from mine.helpers import squared as power_two" in modules["rewards"]

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, write_terms
 
+from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, write_terms
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.isaaclab_import.import_report import CODE
@@ -29,7 +29,9 @@ def test_an_imported_run_plays_and_trains_further(
     words = ["import", "run", "--robot", str(ROBOT), "--terms", "lab", "--names", "names.yaml", "--output", "flip0"]
     assert main([*words, "--policy", "run/model_700.pt"]) == 0
     printed = capsys.readouterr().out
-    assert "needs code" not in printed and "dropped: scene.cube" in printed and "next: cd flip0" in printed
+    assert "needs code" not in printed
+    assert "dropped: scene.cube" in printed
+    assert "next: cd flip0" in printed
     project = tmp_path / "flip0"
     run = RunDirectory.open("latest", project / "runs")
     state = checkpoints.load(run.latest_checkpoint())
@@ -47,7 +49,9 @@ def test_an_imported_run_plays_and_trains_further(
     assert main(["resume", str(run.path), "agent.max_iterations=2"]) == 0
     assert main(["check", "task=flip0"]) == 0
     text = (project / "README.md").read_text()
-    assert "rigid_object" not in text and "scene.cube" in text and "{{" not in text
+    assert "rigid_object" not in text
+    assert "scene.cube" in text
+    assert "{{" not in text
 
 
 def test_observations_are_isaac_labs(tmp_path: Path) -> None:
@@ -56,7 +60,9 @@ def test_observations_are_isaac_labs(tmp_path: Path) -> None:
 
     folder, _ = write_run(tmp_path / "run", ENV.replace("enable_corruption: true", "enable_corruption: false"))
     made = import_run(folder, ROBOT, tmp_path / "flip2")
-    composed = compose(["task=flip2", "env.num_envs=3", "env.rewards.air_time=null"], config_dirs=[made.path / "configs"])
+    composed = compose(
+        ["task=flip2", "env.num_envs=3", "env.rewards.air_time=null"], config_dirs=[made.path / "configs"]
+    )
     env = build_env(composed.config, composed.asset_roots)
     env.reset()
     for _ in range(7):
@@ -68,7 +74,14 @@ def test_observations_are_isaac_labs(tmp_path: Path) -> None:
     default = torch.tensor([{"01": 0.9599, "02": -1.885, "03": 0.0}[name[1:]] for name in names])
     w, x, y, z = data.root_quat_w.unbind(-1)
     gravity = torch.stack((2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1), -1)
-    parts = (0.25 * data.root_ang_vel_b, gravity, command, (data.joint_pos - default)[:, legs], 0.05 * data.joint_vel, actions)
+    parts = (
+        0.25 * data.root_ang_vel_b,
+        gravity,
+        command,
+        (data.joint_pos - default)[:, legs],
+        0.05 * data.joint_vel,
+        actions,
+    )
     torch.testing.assert_close(found, torch.cat(parts, -1), atol=1e-5, rtol=1e-5)
     assert names == ["l01", "r01", "l02", "r02", "l03", "r03"]
 
@@ -77,7 +90,8 @@ def test_without_a_policy(tmp_path: Path) -> None:
     folder, _ = write_run(tmp_path / "run")
     (folder / "model_700.pt").unlink()
     made = import_run(folder / "params/env.yaml", ROBOT, tmp_path / "flip3")
-    assert made.run is None and [row.key for row in made.report.of(CODE)] == ["rewards.own"]
+    assert made.run is None
+    assert [row.key for row in made.report.of(CODE)] == ["rewards.own"]
 
 
 UNITREE = {
@@ -86,11 +100,13 @@ UNITREE = {
     "stiffness": [3.0, 3.0, 0.0, 3.0, 3.0, 0.0],
     "damping": [0.3, 0.3, 1.0, 0.3, 0.3, 1.0],
     "default_joint_pos": [0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0],
-    "commands": {"base_velocity": {"ranges": {"lin_vel_x": [-0.5, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-0.2, 0.2]}}},
-    "actions": {"JointPositionAction": {"joint_names": [".*"], "scale": [0.25] * 6, "offset": [0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0]}},
+    "commands": {"base_velocity": {"ranges": {"lin_vel_x": [-0.5, 1.0], "lin_vel_y": [0, 0], "ang_vel_z": [-1, 1]}}},
+    "actions": {
+        "JointPositionAction": {"scale": [0.25] * 6, "offset": [0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0]},
+    },
     "observations": {
         "base_ang_vel": {"params": {}, "clip": None, "scale": [0.2, 0.2, 0.2], "history_length": 2},
-        "velocity_commands": {"params": {"command_name": "base_velocity"}, "scale": [1.0, 1.0, 1.0], "history_length": 2},
+        "velocity_commands": {"params": {"command_name": "base_velocity"}, "scale": [1.0] * 3, "history_length": 2},
         "last_action": {"params": {}, "scale": [1.0] * 6, "history_length": 1},
     },
 }  # fmt: skip
@@ -120,10 +136,9 @@ RL_SAR = {
 }
 
 
-@pytest.mark.parametrize("file, content, width", [("deploy.yaml", UNITREE, 18), ("config.yaml", RL_SAR, 54)])
+@pytest.mark.parametrize(("file", "content", "width"), [("deploy.yaml", UNITREE, 18), ("config.yaml", RL_SAR, 54)])
 def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object], width: int) -> None:
     from tests.isaaclab_import.runs import ActorCritic, Exported
-
     from wheelleg_exp.build import build_env
     from wheelleg_exp.config.composing.compose import compose
 
@@ -180,6 +195,21 @@ def _evil(folder: Path) -> None:
     torch.save({"model_state_dict": Evil()}, folder / "model_700.pt")
 
 
+RAYS = {"class_type": "isaaclab.sensors:RayCaster", "pattern_cfg": {"func": "x:y"}}
+SECRET = {"func": "lab.mdp:secret", "params": {}}
+SYSTEM = {"func": "os:system", "params": {"command": "touch executed"}, "weight": 1.0}
+TAG = "seed: !!python/object/apply:os.system ['touch executed']"
+
+
+def _cut(folder: Path) -> None:
+    (folder / "model_700.pt").write_bytes((folder / "model_700.pt").read_bytes()[:500])
+
+
+def _with_nan(folder: Path) -> None:
+    networks = torch.load(folder / "model_700.pt", weights_only=True)["model_state_dict"]
+    _state(model_state_dict={name: value * float("nan") for name, value in networks.items()})(folder)
+
+
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 WIDE = {"func": "isaaclab.envs.mdp.observations:joint_pos_rel", "params": {}}
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -206,16 +236,16 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "actuator is text": (_edit("scene.robot.actuators.legs", "all"), "legs: .*mapping"),
     "pose is a list": (_edit("scene.robot.init_state.joint_pos", [1, 2]), "joint_pos"),
     "rotation of 2 numbers": (_edit("scene.robot.init_state.rot", [1.0, 0.0]), "rot"),
-    "pattern of rays": (_edit("scene.rays", {"class_type": "isaaclab.sensors:RayCaster", "pattern_cfg": {"func": "x:y"}}), "pattern"),
+    "pattern of rays": (_edit("scene.rays", RAYS), "pattern"),
     "second robot": (_edit("scene.other", {"class_type": "isaaclab.assets:Articulation"}), "two robots"),
     "other joints": (_edit("actions.legs.joint_names", ["FL_hip"]), "FL_hip"),
     "other pose": (_edit("scene.robot.init_state.joint_pos", {"FL_hip": 0.1}), "FL_hip"),
     "other links": (_edit("events.add_base_mass.params.asset_cfg.body_names", "pelvis"), "pelvis"),
     "no command": (_edit("commands.base_velocity", None), "no command 'base_velocity'"),
-    "own observation": (_edit("observations.policy.x", {"func": "lab.mdp:secret", "params": {}}), "observations.policy.x"),
-    "hostile target": (_edit("rewards.x", {"func": "os:system", "params": {"command": "touch executed"}, "weight": 1.0}), ""),
+    "own observation": (_edit("observations.policy.x", SECRET), "observations.policy.x"),
+    "hostile target": (_edit("rewards.x", SYSTEM), ""),
     "hostile parameter": (_edit("rewards.track.params.std", {"_target_": "os.system", "command": "x"}), "std"),
-    "hostile tag": (_replace("params/env.yaml", ENV.replace("seed: 42", "seed: !!python/object/apply:os.system ['touch executed']")), "seed"),
+    "hostile tag": (_replace("params/env.yaml", ENV.replace("seed: 42", TAG)), "seed"),
     "hostile path": (_edit("scene.robot.spawn.usd_path", "$(touch executed)"), ""),
     "pose outside limits": (_edit("scene.robot.init_state.joint_pos", {".*01": 50.0}), "outside its limits"),
     "weight is text": (_edit("rewards.track.weight", "many"), "weight"),
@@ -223,11 +253,11 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "narrower observations": (_edit("observations.policy.actions", None), "wrong shapes"),
     "fewer actions": (_edit("actions.wheels", None), "wrong shapes"),
     "pickle": (_evil, "cannot be read"),
-    "damaged policy": (lambda f: (f / "model_700.pt").write_bytes((f / "model_700.pt").read_bytes()[:500]), "cannot be read"),
-    "no networks": (_state(model_state_dict={"x": torch.ones(1)}), "no multilayer perceptron"),
+    "damaged policy": (_cut, "cannot be read"),
+    "no networks": (_state(model_state_dict={"std": torch.ones(1)}), "no multilayer perceptron"),
+    "another network": (_state(model_state_dict={"estimator.0.weight": torch.ones(1, 1)}), "another network"),
     "recurrent": (_state(model_state_dict={"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}), "recurrent"),
-    "NaN": (lambda f: _state(model_state_dict={
-        k: v * float("nan") for k, v in torch.load(f / "model_700.pt", weights_only=True)["model_state_dict"].items()})(f), "NaN"),
+    "NaN": (_with_nan, "NaN"),
     "agent is text": (_replace("params/agent.yaml", "ppo"), "no mapping"),
     "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),
 }  # fmt: skip

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.isaaclab_import.runs import ActorCritic, Exported, Normalizer, checkpoint
 
+from tests.isaaclab_import.runs import ActorCritic, Exported, Normalizer, checkpoint
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.isaaclab_import.policy_weights import Network, read_policy
 
@@ -29,7 +29,8 @@ def test_checkpoint_of_rsl_rl_2(tmp_path: Path) -> None:
     policy = ActorCritic()
     torch.save(checkpoint(policy, 70), tmp_path / "model_70.pt")
     found = read_policy(tmp_path / "model_70.pt")
-    assert found.critic is not None and found.std is not None
+    assert found.critic is not None
+    assert found.std is not None
     torch.testing.assert_close(outputs(found.actor, X), policy.actor(X))
     torch.testing.assert_close(outputs(found.critic, X), policy.critic(X))
     torch.testing.assert_close(found.std, policy.std.detach())
@@ -55,16 +56,54 @@ def test_logarithm_of_the_deviation(tmp_path: Path) -> None:
     state["model_state_dict"]["log_std"] = state["model_state_dict"].pop("std").log()
     torch.save(state, tmp_path / "model_1.pt")
     found = read_policy(tmp_path / "model_1.pt").std
-    assert found is not None and torch.allclose(found, torch.full((6,), 0.3), atol=0.01)
+    assert found is not None
+    assert torch.allclose(found, torch.full((6,), 0.3), atol=0.01)
 
 
+class ExportedNow(torch.nn.Module):
+    """A policy as rsl_rl 4 and later export it."""
+
+    def __init__(self, actor: torch.nn.Module, normalizer: torch.nn.Module) -> None:
+        super().__init__()
+        self.obs_normalizer, self.mlp = normalizer, actor
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.mlp(self.obs_normalizer(x))
+
+
+@pytest.mark.parametrize("form", [Exported, ExportedNow])
 @pytest.mark.parametrize("normalizer", [torch.nn.Identity(), Normalizer()])
-def test_torchscript(tmp_path: Path, normalizer: torch.nn.Module) -> None:
-    policy = Exported(ActorCritic().actor, normalizer)
+def test_torchscript(tmp_path: Path, normalizer: torch.nn.Module, form: type[torch.nn.Module]) -> None:
+    policy = form(ActorCritic().actor, normalizer)
     torch.jit.script(policy).save(str(tmp_path / "policy.pt"))
     found = read_policy(tmp_path / "policy.pt")
     torch.testing.assert_close(outputs(found.actor, X), policy(X))
-    assert found.activation == "elu" and found.critic is None and found.std is None
+    assert found.activation == "elu"
+    assert found.critic is None
+    assert found.std is None
+
+
+class Writes(Exported):
+    """A policy whose code runs when torch loads its file."""
+
+    def __init__(self) -> None:
+        super().__init__(ActorCritic().actor, torch.nn.Identity())
+
+    @torch.jit.export
+    def __getstate__(self) -> tuple[torch.Tensor, bool]:
+        return torch.ones(1), self.training
+
+    @torch.jit.export
+    def __setstate__(self, state: tuple[torch.Tensor, bool]) -> None:
+        assert not state[1], "the code of the file was executed"
+
+
+def test_code_of_torchscript_is_not_executed(tmp_path: Path) -> None:
+    torch.jit.script(Writes()).save(str(tmp_path / "policy.pt"))
+    with pytest.raises(torch.jit.Error, match="was executed"):
+        torch.jit.load(str(tmp_path / "policy.pt"))
+    with pytest.raises(RunDirectoryError, match=r"no multilayer perceptron|cannot be read"):
+        read_policy(tmp_path / "policy.pt")
 
 
 @pytest.mark.parametrize("normalized", [False, True])
@@ -112,7 +151,8 @@ def test_bad_files(tmp_path: Path) -> None:
         with pytest.raises(RunDirectoryError) as error:
             read_policy(tmp_path / "model_1.pt")
         assert ("recurrent" in str(error.value)) == (name == "recurrent")
-    texts = {b"version https://git-lfs.github.com/spec/v1": "pointer of Git LFS", b"\x80\x04x": "cannot be read|no linear layers"}
+    texts = {b"version https://git-lfs.github.com/spec/v1": "pointer of Git LFS"}
+    texts[b"\x80\x04x"] = "cannot be read|no linear layers"
     for data, words in texts.items():
         for file in ("policy.pt", "policy.onnx"):
             (tmp_path / file).write_bytes(data)

@@ -6,10 +6,12 @@ the observation. Isaac Lab writes such policies for its locomotion tasks.
 
 from __future__ import annotations
 
+import io
+import pickle
 import re
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +29,10 @@ _PARTS = ("actor", "critic", "std", "log_std", "mlp", "distribution")  # besides
 _ACTIVATIONS = {
     "Elu": "elu", "ELU": "elu", "Relu": "relu", "ReLU": "relu", "Tanh": "tanh", "LeakyRelu": "lrelu",
     "LeakyReLU": "lrelu", "Selu": "selu", "SELU": "selu", "Sigmoid": "sigmoid",
+}  # fmt: skip
+_STORED = {
+    "FloatStorage": torch.float32, "DoubleStorage": torch.float64, "HalfStorage": torch.float16,
+    "LongStorage": torch.int64, "IntStorage": torch.int32, "BoolStorage": torch.bool,
 }  # fmt: skip
 _EXPECTED = "a model_<iteration>.pt of rsl_rl, or a policy.pt or policy.onnx that Isaac Lab exported"
 
@@ -103,19 +109,12 @@ def _tensors(path: Path) -> PolicyWeights:
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
             require_bounded(archive)
+            code = [name for name in archive.namelist() if "/code/" in name]
+            if code:
+                return _from_torchscript(path, archive, code[0].split("/code/")[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        try:
-            state = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:
-            try:
-                module = torch.jit.load(path, map_location="cpu")
-            except RuntimeError:
-                raise error from None
-            found = PolicyWeights(path, _network(module.state_dict(), "actor", "normalizer", path))
-            kinds = [str(getattr(part, "original_name", "")) for _, part in module.named_modules()]
-            found.activation = next((_ACTIVATIONS[kind] for kind in kinds if kind in _ACTIVATIONS), None)
-            return found
+        state = torch.load(path, map_location="cpu", weights_only=True)
     if not isinstance(state, Mapping):
         raise RunDirectoryError("the file contains no networks", key=str(path), expected=_EXPECTED)
     whole = state.get("model_state_dict", state)
@@ -135,6 +134,53 @@ def _tensors(path: Path) -> PolicyWeights:
     found.std = std if std is not None else log_std.exp() if log_std is not None else None
     found.iteration = int(state.get("iter", 0))
     found.optimizer = state.get("optimizer_state_dict")
+    return found
+
+
+class _Module:
+    """A module of a TorchScript file: only its attributes are read, and its code is not."""
+
+    def parts(self, prefix: str = "") -> Iterator[tuple[str, Any]]:
+        """Yield the names and values of all attributes, also of inner modules."""
+        for name, value in vars(self).items():
+            yield f"{prefix}{name}", value
+            if isinstance(value, _Module):
+                yield from value.parts(f"{prefix}{name}.")
+
+
+class _TensorsOnly(pickle.Unpickler):
+    """Reads the tensors and the tree of modules of a TorchScript file; any other object is refused."""
+
+    def __init__(self, archive: zipfile.ZipFile, root: str) -> None:
+        super().__init__(io.BytesIO(archive.read(f"{root}/data.pkl")))
+        self._archive, self._root = archive, root
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module.startswith("__torch__"):
+            return type(name, (_Module,), {})
+        if name.endswith("Storage") and (dtype := _STORED.get(name)):
+            return dtype
+        known = {"_rebuild_tensor_v2": _tensor, "OrderedDict": dict, "build_intlist": list, "build_doublelist": list}
+        if name not in known:
+            raise pickle.UnpicklingError(f"the file contains the object {module}.{name}")
+        return known[name]
+
+    def persistent_load(self, pid: Any) -> torch.Tensor:
+        data = self._archive.read(f"{self._root}/data/{pid[2]}")
+        return torch.frombuffer(bytearray(data), dtype=pid[1]) if data else torch.empty(0, dtype=pid[1])
+
+
+def _tensor(storage: torch.Tensor, offset: int, size: Any, stride: Any, *_: Any) -> torch.Tensor:
+    return storage.as_strided(tuple(size), tuple(stride), offset)
+
+
+def _from_torchscript(path: Path, archive: zipfile.ZipFile, root: str) -> PolicyWeights:
+    parts = list(_TensorsOnly(archive, root).load().parts())
+    tensors = {name: value for name, value in parts if isinstance(value, torch.Tensor)}
+    names = ("mlp", "obs_normalizer") if any(name.startswith("mlp.") for name in tensors) else ("actor", "normalizer")
+    found = PolicyWeights(path, _network(tensors, *names, path))
+    kinds = [type(value).__name__ for _, value in parts]
+    found.activation = next((_ACTIVATIONS[kind] for kind in kinds if kind in _ACTIVATIONS), None)
     return found
 
 
