@@ -86,6 +86,17 @@ def test_observations_are_isaac_labs(tmp_path: Path) -> None:
     assert names == ["l01", "r01", "l02", "r02", "l03", "r03"]
 
 
+def test_the_exported_order_of_joints(tmp_path: Path) -> None:
+    folder, _ = write_run(tmp_path / "run")
+    order = ["r03", "l01", "r01", "l02", "r02", "l03"]
+    (folder / "io_descriptors").mkdir()
+    described = {"articulations": {"robot": {"joint_names": order}}, "actions": [], "observations": {}}
+    (folder / "io_descriptors/IO_descriptors.yaml").write_text(yaml.safe_dump(described))
+    made = import_run(folder, ROBOT, tmp_path / "flip4")
+    robot = yaml.safe_load((made.path / "configs/robot/flip4.yaml").read_text())
+    assert robot["joint_order"] == order
+
+
 def test_without_a_policy(tmp_path: Path) -> None:
     folder, _ = write_run(tmp_path / "run")
     (folder / "model_700.pt").unlink()

@@ -253,6 +253,11 @@ class EnvMapping:
         self.robot["actuators"] = {
             name: self._actuator(Section(n, f"{nodes.key}.{name}", self._report)) for name, n in nodes.items()
         }
+        driven = [text for node in self.robot["actuators"].values() for text in _listed(node["joint_names_expr"])]
+        free = [name for name in self._dofs if not any(re.fullmatch(text, name) for text in driven)]
+        if free:
+            text = f"no actuator drives {', '.join(free)}: these joints of the robot file move freely"
+            self._report.add("scene.robot.actuators", ASSUMED, text)
         part.skip(*_ROBOT_DROPPED)
         part.finish()
 
@@ -268,9 +273,9 @@ class EnvMapping:
             self._report.add(part.key, NAME, kind)
         implicit = kind == "ImplicitActuator"
         expressions = part.take("joint_names_expr", [".*"])
-        self._require_joints([expressions] if isinstance(expressions, str) else expressions)
+        self._require_joints(_listed(expressions))
         accepted = signature_parameters(resolve_target(f"wheelleg_exp.sim.actuators.{kind}", part.key))
-        joints = [name for name in self._dofs if _matches(expressions, name)]
+        joints = [name for name in self._dofs if any(re.fullmatch(text, name) for text in _listed(expressions))]
         node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.actuators.{kind}", "joint_names_expr": expressions}
         for name in ("effort_limit", "velocity_limit"):
             own, of_engine = part.take(name), part.take(f"{name}_sim")
@@ -633,9 +638,8 @@ def _new_names(expression: str, names: Mapping[str, str]) -> list[str]:
     return found or [expression]
 
 
-def _matches(expressions: Any, name: str) -> bool:
-    names = [expressions] if isinstance(expressions, str) else expressions
-    return any(re.fullmatch(expression, name) for expression in names)
+def _listed(expressions: Any) -> list[str]:
+    return [expressions] if isinstance(expressions, str) else list(expressions)
 
 
 def _one_expression(names: Any) -> Any:

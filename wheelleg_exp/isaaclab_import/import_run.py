@@ -104,6 +104,9 @@ def _write_project(
         clip = tree.pop("clip_actions", None)
         mapping = EnvMapping(tree, dofs, author.target, report, read_mapping(names) if names is not None else None)
         mapping.convert()
+        if folder.joint_order is not None and sorted(folder.joint_order) == sorted(dofs):
+            mapping.robot["joint_order"] = folder.joint_order
+            report.add("joint_order", RULE, "the order in IO_descriptors.yaml")
         if agent_tree is not None and not is_runner(agent_tree):
             report.add("agent.yaml", DROPPED, "the settings of another library than rsl_rl")
             agent_tree = None

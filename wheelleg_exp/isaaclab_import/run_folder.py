@@ -15,6 +15,7 @@ from wheelleg_exp.plain_data import Unreadable, tagged_yaml_value
 _LARGEST = 16 << 20  # bytes of a YAML file
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _POLICIES = ("policy.onnx", "policy.pt")
+_DESCRIPTORS = "IO_descriptors.yaml"  # Isaac Lab's description of observations and actions
 _LFS = b"version https://git-lfs"
 # The file that describes the environment: an Isaac Lab run, unitree_rl_lab, rl_sar.
 KINDS = {"env.yaml": "an Isaac Lab run", "deploy.yaml": "a deployment of unitree_rl_lab", "config.yaml": "rl_sar"}
@@ -23,7 +24,10 @@ _EXPECTED = "an Isaac Lab run with params/env.yaml, or a folder with deploy.yaml
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The files of an imported folder: kind of the config, its content, the agent's settings, and the policy."""
+    """The files of an imported folder: kind of the config, its content, the agent's settings, and the policy.
+
+    ``joint_order`` is the order of the joints in Isaac Lab, if the run has exported it.
+    """
 
     path: Path
     kind: str
@@ -31,6 +35,7 @@ class RunFolder:
     config_file: Path
     agent: dict[str, Any] | None
     policy: Path | None
+    joint_order: list[str] | None
 
 
 def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
@@ -51,12 +56,21 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
         raise RunDirectoryError("there is no such file", key=f"--policy {policy}", expected="a policy file")
     content = _read(agent) if agent.is_file() else None
     config = _read(file)
-    return RunFolder(root, file.name, config, file, content, policy or _policy(root, config))
+    described = next((p for below in ("io_descriptors/", "") if (p := root / f"{below}{_DESCRIPTORS}").is_file()), None)
+    order = None if described is None else _joint_order(_read(described))
+    return RunFolder(root, file.name, config, file, content, policy or _policy(root, config), order)
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file that must be a mapping."""
     return _read(path)
+
+
+def _joint_order(descriptors: Mapping[str, Any]) -> list[str] | None:
+    robots = descriptors.get("articulations")
+    robot = next(iter(robots.values()), None) if isinstance(robots, Mapping) else None
+    names = robot.get("joint_names") if isinstance(robot, Mapping) else None
+    return names if isinstance(names, list) else None
 
 
 def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
