@@ -48,6 +48,14 @@ def test_types_are_promoted_angles_are_broadcast_and_results_can_be_viewed():
     assert m.quat_from_euler_xyz(T([0.0]), T([0.0]), torch.zeros(5)).tolist() == 5 * [[1.0, 0.0, 0.0, 0.0]]
 
 
+def test_rotations_and_vectors_may_have_other_leading_shapes():
+    quat = m.random_orientation(6, "cpu")
+    vec = torch.randn(6, 1, 3)
+    expected = torch.stack([m.matrix_from_quat(q) @ v[0] for q, v in zip(quat, vec, strict=True)]).unsqueeze(1)
+    torch.testing.assert_close(m.quat_apply(quat, vec), expected)
+    torch.testing.assert_close(m.quat_apply_inverse(quat, expected), vec)
+
+
 def test_half_turns_have_quaternions_too():
     """The trace of the matrix is -1, so the largest component is not w."""
     for axis in range(3):

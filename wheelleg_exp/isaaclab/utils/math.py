@@ -57,7 +57,9 @@ def quat_unique(q: torch.Tensor) -> torch.Tensor:
 
 
 def quat_apply(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
-    """Rotate vectors."""
+    """Rotate vectors; as in Isaac Lab, as many rotations as vectors may have another leading shape."""
+    if quat.shape[:-1] != vec.shape[:-1] and 3 * quat.numel() == 4 * vec.numel():
+        quat = quat.reshape(vec.shape[:-1] + quat.shape[-1:])
     w, axis = quat[..., :1], quat[..., 1:]
     turn = 2.0 * cross(axis, vec)
     return vec + w * turn + cross(axis, turn)
