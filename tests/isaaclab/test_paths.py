@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
 pytestmark = pytest.mark.slow
 
@@ -51,5 +52,25 @@ def test_every_path_has_its_names_and_can_be_imported_before_the_package():
     lines = [f"from wheelleg_exp.isaaclab.{path} import {', '.join(names.split())}" for path, names in PATHS.items()]
     firsts = [f"import wheelleg_exp.isaaclab.{path}" for path in ("managers.command_manager", "envs.mdp.rewards")]
     firsts.append("from wheelleg_exp.isaaclab_tasks.manager_based.locomotion.velocity.mdp import feet_slide")
+    firsts.append("from wheelleg_exp.isaaclab_tasks.manager_based.locomotion.velocity.mdp.rewards import feet_air_time")
+    firsts.append("from wheelleg_exp.isaaclab.sensors.contact_sensor.contact_sensor import ContactSensor")
     for code in ("\n".join(lines), *firsts):
         subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_private_helpers_of_isaac_lab_that_terms_import():
+    from wheelleg_exp.isaaclab.envs.mdp.events import _randomize_prop_by_op
+    from wheelleg_exp.isaaclab.envs.utils.io_descriptors import generic_io_descriptor, record_shape
+
+    @generic_io_descriptor(observation_type="JointState", on_inspect=[record_shape])
+    def term(env):
+        return env + 1
+
+    assert term(1) == 2
+    data, rows = torch.ones(4, 3), torch.tensor([0, 2])
+    changed = _randomize_prop_by_op(data, (2.0, 3.0), rows, [1], operation="scale", distribution="uniform")
+    assert changed is data
+    assert ((data[rows, 1] >= 2.0) & (data[rows, 1] <= 3.0)).all()
+    assert int((data != 1.0).sum()) == 2
+    _randomize_prop_by_op(data, (5.0, 5.0), None, slice(None), operation="abs", distribution="uniform")
+    assert (data == 5.0).all()

@@ -22,8 +22,10 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.isaaclab_attributes import Simulation
-from wheelleg_exp.isaaclab import managers, markers, utils  # The modules of ``utils`` need their package.
+from wheelleg_exp.isaaclab import managers, markers
+from wheelleg_exp.isaaclab.utils import math
 from wheelleg_exp.mdp import modifiers, noise, observations
+from wheelleg_exp.mdp.events.randomization import operate
 from wheelleg_exp.sim import actuators, sensors
 from wheelleg_exp.sim.articulation_data import ArticulationData
 from wheelleg_exp.sim.robot import Robot
@@ -79,11 +81,31 @@ def _joint_pos_limit_normalized(env: Any, asset_cfg: Any = managers.SceneEntityC
     return observations.joint_pos_limit_normalized(env, asset_cfg)(env)
 
 
+def _randomize_prop_by_op(
+    data: torch.Tensor, distribution_parameters: Any, dim_0_ids: Any, dim_1_ids: Any, operation: Any, distribution: str
+) -> torch.Tensor:
+    """Change rows and columns of ``data`` by drawn values: a private function of Isaac Lab that many events call."""
+    sample = getattr(math, f"sample_{distribution}")
+    rows = torch.arange(data.shape[0], device=data.device)[slice(None) if dim_0_ids is None else dim_0_ids]
+    columns = torch.arange(data.shape[1], device=data.device)[dim_1_ids]
+    at = (rows.unsqueeze(1), columns)
+    data[at] = operate(data[at], sample(*distribution_parameters, (len(rows), len(columns)), data.device), operation)
+    return data
+
+
+def _generic_io_descriptor(function: Any = None, **_: Any) -> Any:
+    """Return a term unchanged: descriptions of observations are not exported."""
+    return function if callable(function) else _generic_io_descriptor
+
+
+_RECORDED = ("shape", "dtype", "joint_names", "body_names", "joint_pos_offsets", "joint_vel_offsets")
+_DESCRIPTORS = {"generic_io_descriptor": _generic_io_descriptor, **{f"record_{name}": None for name in _RECORDED}}
 _ROBOT = {"Articulation": Robot, "ArticulationData": ArticulationData}
 _BODY = {"RigidObject": Robot, "RigidObjectData": ArticulationData}
 _TERMS_BY_KIND = {kind: _public(import_module(f"wheelleg_exp.mdp.{kind}")) for kind in _TERMS}
 _EVENTS = _TERMS_BY_KIND["events"]
 _EVENTS.update({name: _with_isaac_labs_parameters(event) for name, event in _EVENTS.items()})
+_EVENTS["_randomize_prop_by_op"] = _randomize_prop_by_op
 _TERMS_BY_KIND["observations"]["joint_pos_limit_normalized"] = _joint_pos_limit_normalized
 TERMS = {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}
 _ENVS = dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)
@@ -99,6 +121,8 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "assets.rigid_object": ("The robot.", _BODY),
     "envs": ("The environment.", _ENVS),
     **{f"envs.{name}": ("The environment.", _ENVS) for name in ("manager_based_env", "manager_based_rl_env")},
+    "envs.utils": ("Utilities.", {}),
+    "envs.utils.io_descriptors": ("Descriptions of observations, which have no effect.", _DESCRIPTORS),
     "envs.mdp": ("The stock terms.", TERMS),
     **{f"envs.mdp.{kind}": (f"The stock {kind}.", terms) for kind, terms in _TERMS_BY_KIND.items()},
     "envs.mdp.actions.joint_actions": ("The stock actions of joints.", _TERMS_BY_KIND["actions"]),
@@ -108,6 +132,7 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     "scene": ("The scene.", {"InteractiveScene": Scene}),
     "sensors": ("The sensors of the scene.", _SENSORS),
     **{f"sensors.{name}": ("A sensor.", _SENSORS) for name in ("camera", "contact_sensor", "imu", "ray_caster")},
+    **{f"sensors.{name}.{name}": ("A sensor.", _SENSORS) for name in ("camera", "contact_sensor", "imu", "ray_caster")},
     "sim": ("The simulation, for annotations.", {"SimulationContext": Simulation}),
     "terrains": ("The ground.", {"TerrainImporter": TerrainBase}),
     "utils.modifiers": ("The modifiers of observations.", _public(modifiers)),

@@ -76,7 +76,7 @@ class AuthorTerms:
     def _definitions(self, file: Path) -> dict[str, ast.stmt]:
         if file not in self._trees:
             try:
-                self._trees[file] = _with_plain_annotations(ast.parse(read_text(file)))
+                self._trees[file] = _adapted(ast.parse(read_text(file)))
             except (SyntaxError, ValueError, RecursionError):
                 self._trees[file] = ast.Module([], [])
         return {name: part for part in self._trees[file].body for name in _defined(part)}
@@ -90,13 +90,14 @@ class AuthorTerms:
             if name in needed or name not in found:
                 continue
             needed.append(name)
-            waiting += [part.id for part in ast.walk(found[name]) if isinstance(part, ast.Name)]
+            waiting += _names(found[name], annotations=False) | _configs(found[name])
 
     def _text(self, file: Path) -> str:
         tree, needed = self._trees[file], set(self._needed[file])
         kept = [part for part in tree.body if needed & set(_defined(part))]
-        used = {part.id for item in kept for part in ast.walk(item) if isinstance(part, ast.Name)}
-        imports = [text for item in _imports(tree) if (text := self._import(item, used, file))]
+        used, called = (set().union(*(_names(part, annotations=flag) for part in kept)) for flag in (True, False))
+        called |= set().union(*map(_configs, kept))
+        imports = [text for item in _imports(tree) if (text := self._import(item, used, called, file))]
         source = "\n\n\n".join(ast.unparse(part) for part in kept)
         head = (
             f'"""Terms copied from ``{file.name}`` by ``wheelleg import``."""\n\nfrom __future__ import annotations\n'
@@ -113,34 +114,37 @@ class AuthorTerms:
             own = next((f for f in self._files if f != file and name in self._definitions(f)), None)
             if own is not None:
                 self._need(own, name)
+            elif not _has("wheelleg_exp.isaaclab.envs.mdp", name):
+                continue
             module = "wheelleg_exp.isaaclab.envs.mdp" if own is None else f"{self._package}.{self._name(own)}"
             lines.append(f"from {module} import {name} as {alias}_{name}")
             fields.append(f"{name}={alias}_{name}")
-        return [*lines, f"{alias} = SimpleNamespace({', '.join(fields)})"]
+        return [*lines, f"{alias} = SimpleNamespace({', '.join(fields)})"] if used else []
 
-    def _import(self, part: ast.Import | ast.ImportFrom, used: set[str], file: Path) -> str:
-        """Return an import line with the names that are used, or an empty text."""
+    def _import(self, part: ast.Import | ast.ImportFrom, used: set[str], called: set[str], file: Path) -> str:
+        """Return import lines of the names that are ``used``; names outside ``called`` are only in annotations."""
         names = [item for item in part.names if (item.asname or item.name.split(".")[0]) in used]
         if not names or (isinstance(part, ast.ImportFrom) and part.module == "__future__"):
             return ""
         if isinstance(part, ast.Import):
             lines = []
             for item in names:
-                module, alias = _moved(item.name), item.asname
-                if alias is not None and not _exists(module):
-                    lines += self._namespace(alias, file)
-                else:
-                    lines.append(f"import {module}" + (f" as {alias}" if alias else ""))
+                module, alias = item.name, item.asname
+                line = f"import {module}" + (f" as {alias}" if alias else "")
+                lines += [line] if alias is None or _exists(module) else self._namespace(alias, file) or [line]
             return "\n".join(lines)
         module, lines = part.module or "", []
         for item in names:
             own = next((f for f in self._files if f != file and item.name in self._definitions(f)), None)
             alias = f" as {item.asname}" if item.asname else ""
-            if own is not None and (part.level or not _has(_moved(module), item.name)):
+            called_here = (item.asname or item.name) in called
+            if own is not None and called_here and (part.level or not _has(module, item.name)):
                 self._need(own, item.name)
                 lines.append(f"from {self._package}.{self._name(own)} import {item.name}{alias}")
-            elif not part.level:
-                lines.append(f"from {_moved(module)} import {item.name}{alias}")
+            elif not part.level and _has(module, item.name):
+                lines.append(f"from {module} import {item.name}{alias}")
+            elif called_here:
+                lines += self._namespace(item.asname or item.name, file) or [f"from {module} import {item.name}{alias}"]
         return "\n".join(lines)
 
 
@@ -157,12 +161,34 @@ def _defined(part: ast.stmt) -> list[str]:
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
-def _with_plain_annotations(tree: ast.Module) -> ast.Module:
-    """Replace annotations that are texts, such as ``"ActionCfg"``, by what they say."""
+def _adapted(tree: ast.Module) -> ast.Module:
+    """Move imports of Isaac Lab to this package, and replace annotations that are texts by what they say."""
     for part in ast.walk(tree):
         if isinstance(part, (ast.arg, ast.AnnAssign)) and isinstance(part.annotation, ast.Constant):
             part.annotation = ast.parse(str(part.annotation.value), mode="eval").body
+        elif isinstance(part, ast.ImportFrom) and not part.level:
+            part.module = _moved(part.module or "")
+        elif isinstance(part, ast.Import):
+            for item in part.names:
+                item.name = _moved(item.name)
     return tree
+
+
+def _configs(part: ast.AST) -> set[str]:
+    """Return the names in the annotations of ``cfg``, whose class a class term needs."""
+    found = [item.annotation for item in ast.walk(part) if isinstance(item, ast.arg) and item.arg == "cfg"]
+    return {name for item in found if item is not None for name in _names(item, annotations=True)}
+
+
+def _names(part: ast.AST, *, annotations: bool) -> set[str]:
+    """Return the names that a definition uses, with or without those of its annotations."""
+    found, waiting = set[str](), [part]
+    while waiting:
+        item = waiting.pop()
+        skipped = [] if annotations else [getattr(item, "annotation", None), getattr(item, "returns", None)]
+        found |= {item.id} if isinstance(item, ast.Name) else set()
+        waiting += [child for child in ast.iter_child_nodes(item) if child not in skipped]
+    return found
 
 
 def _moved(module: str) -> str:

@@ -85,6 +85,11 @@ class RayCaster(LazySensor):
         cast = ray_cast_drift_range or {}
         self._drift_ranges = [drift_range] * 3 + [cast.get(axis, (0.0, 0.0)) for axis in ("x", "y", "z")]
 
+    @property
+    def pattern_cfg(self) -> PatternBase:
+        """The pattern of rays, under its name in Isaac Lab's ``sensor.cfg``."""
+        return self._pattern
+
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
         super().add_to(spec, name, robot)
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")

@@ -65,13 +65,13 @@ class GridPattern(PatternBase):
         direction: Annotated[Sequence[float], Length(3), NotAllZero()] = (0.0, 0.0, -1.0),
         ordering: Literal["xy", "yx"] = "xy",
     ) -> None:
-        self._resolution, self._size, self._direction, self._ordering = resolution, size, direction, ordering
+        self.resolution, self.size, self.direction, self.ordering = resolution, size, direction, ordering
 
     def rays(self, device: torch.device) -> Rays:
-        x, y = (torch.arange(-length / 2, length / 2 + 1e-9, self._resolution, device=device) for length in self._size)
-        grid = torch.meshgrid(x, y, indexing="xy" if self._ordering == "xy" else "ij")
+        x, y = (torch.arange(-length / 2, length / 2 + 1e-9, self.resolution, device=device) for length in self.size)
+        grid = torch.meshgrid(x, y, indexing="xy" if self.ordering == "xy" else "ij")
         starts = torch.stack((*(axis.flatten() for axis in grid), torch.zeros(grid[0].numel(), device=device)), dim=1)
-        return starts, torch.tensor(self._direction, device=device).expand_as(starts).clone()
+        return starts, torch.tensor(self.direction, device=device).expand_as(starts).clone()
 
 
 def _angles_in_radians(given: Mapping[str, Any]) -> Iterator[Broken]:

@@ -117,7 +117,7 @@ class SensorBase(Kept):
         return {}
 
     def find_bodies(
-        self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
+        self, expressions: str | Sequence[str], preserve_order: bool = False, *, key: str = "body_names"
     ) -> tuple[list[int], list[str]]:
         """Return indices and names of matching sensed bodies; raise ConfigError if an expression matches no body."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
