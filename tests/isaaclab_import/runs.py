@@ -209,6 +209,10 @@ def tilt_cost(env: ManagerBasedRLEnv, power: float, asset_cfg: SceneEntityCfg = 
     return FACTOR * power * power_two(env.scene[asset_cfg.name].data.projected_gravity_b[:, :2]).sum(1)
 
 
+def failing(env):
+    return undefined_name + env.num_envs
+
+
 def unused(env):
     return pandas.DataFrame()
 """

@@ -79,7 +79,7 @@ def test_values() -> None:
     noise = group["terms"]["base_ang_vel"]["noise"]
     assert noise == {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "operation": "add", "n_min": -0.2, "n_max": 0.2}
     assert group["terms"]["joint_pos"]["asset_cfg"]["joint_names"] == [".*0[12]"]
-    event = env["events"]["physics_material"]
+    event = env["events"]["default_material"]
     assert event["static_friction_range"] == [0.9, 0.9]
     assert event["dynamic_friction_range"] == [0.8, 0.8]
     assert env["events"]["push"]["interval_range_s"] == [2.0, 3.0]
@@ -131,6 +131,48 @@ def test_terrain_tiles() -> None:
     assert made["pit"]["inverted"]
     assert made["pit"]["double_box"]
     assert [row.key.rsplit(".", 1)[-1] for row in report.of(DROPPED) if "star" in row.key] == ["star"]
+
+
+def test_limits_of_explicit_actuators_are_also_those_of_the_engine() -> None:
+    legs = "scene.robot.actuators.legs"
+    text = changed(changed(ENV, f"{legs}.effort_limit_sim", {".*01": 1.0, ".*02": 5.0}), f"{legs}.velocity_limit", None)
+    node = converted(changed(text, f"{legs}.velocity_limit_sim", 12.0), AGENT)[0].robot["actuators"]["legs"]
+    assert node["effort_limit"] == {"l01": 1.0, "l02": 2.0, "r01": 1.0, "r02": 2.0}
+    assert node["velocity_limit"] == 12.0
+
+
+def test_the_ground_plane_has_its_own_friction() -> None:
+    material = {"static_friction": 0.3, "dynamic_friction": 0.2, "friction_combine_mode": "max"}
+    spawn = {"func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane", "physics_material": material}
+    text = changed(changed(ENV, "scene.terrain", None), "scene.ground", {"class_type": None, "spawn": spawn})
+    mapping, _, _ = converted(text, AGENT)
+    terrain = mapping.env["scene"]["terrain"]
+    assert (terrain["static_friction"], terrain["dynamic_friction"]) == (0.3, 0.2)
+    assert mapping.robot["friction_combine_mode"] == "max"
+
+
+def test_names_that_are_not_listed_stay() -> None:
+    mapping, _, _ = converted(
+        ENV.replace("joint_names_expr: .*03", "joint_names_expr: '.*3'"), AGENT, left_wheel_3="l03"
+    )
+    assert mapping.robot["actuators"]["wheels"]["joint_names_expr"] == ["l03", ".*3"]
+    with pytest.raises(ConfigError, match="no joint or link 'x03'"):
+        converted(ENV, AGENT, left_wheel="x03")
+
+
+def test_the_logarithm_of_the_deviation() -> None:
+    agent = converted(ENV, AGENT.replace("init_noise_std: 0.8", "init_noise_std: 0.8\n  noise_std_type: log"))[1]
+    assert agent["actor"]["distribution_cfg"]["std_type"] == "log"
+
+
+def test_a_group_without_history_overrides_its_terms() -> None:
+    text = changed(ENV, "observations.policy.base_ang_vel.history_length", 5)
+    terms = converted(text, AGENT)[0].env["observations"]["policy"]["terms"]
+    assert terms["base_ang_vel"]["history_length"] == 5
+    terms = converted(changed(text, "observations.policy.history_length", 0), AGENT)[0].env["observations"]["policy"][
+        "terms"
+    ]
+    assert "history_length" not in terms["base_ang_vel"]
 
 
 @pytest.mark.parametrize("key", ["decimation", "scene.robot", "episode_length_s"])

@@ -97,6 +97,17 @@ def test_the_exported_order_of_joints(tmp_path: Path) -> None:
     assert robot["joint_order"] == order
 
 
+def test_a_term_that_fails_when_it_is_called_needs_code(tmp_path: Path) -> None:
+    failing = {"func": "my_lab.tasks.mdp.rewards:failing", "params": {}, "weight": 1.0}
+    folder, _ = write_run(tmp_path / "run", changed(ENV, "rewards.failing", failing))
+    terms = write_terms(tmp_path / "lab")
+    (terms / "latin.py").write_bytes(b"# \xe9")
+    made = import_run(folder, ROBOT, tmp_path / "flip5", terms=terms)
+    assert [row.key for row in made.report.rows if row.key == "rewards.failing"] == ["rewards.failing"]
+    assert [row.key for row in made.report.of(CODE)] == ["rewards.failing"]
+    assert made.what == "learning"
+
+
 def test_without_a_policy(tmp_path: Path) -> None:
     folder, _ = write_run(tmp_path / "run")
     (folder / "model_700.pt").unlink()
@@ -260,9 +271,9 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "hostile path": (_edit("scene.robot.spawn.usd_path", "$(touch executed)"), ""),
     "pose outside limits": (_edit("scene.robot.init_state.joint_pos", {".*01": 50.0}), "outside its limits"),
     "weight is text": (_edit("rewards.track.weight", "many"), "weight"),
-    "wider observations": (_edit("observations.policy.more", WIDE), "wrong shapes"),
-    "narrower observations": (_edit("observations.policy.actions", None), "wrong shapes"),
-    "fewer actions": (_edit("actions.wheels", None), "wrong shapes"),
+    "wider observations": (_edit("observations.policy.more", WIDE), "the policy has 25 observations"),
+    "narrower observations": (_edit("observations.policy.actions", None), "the policy has 25 observations"),
+    "fewer actions": (_edit("actions.wheels", None), "the policy has 25 observations"),
     "pickle": (_evil, "cannot be read"),
     "damaged policy": (_cut, "cannot be read"),
     "no networks": (_state(model_state_dict={"std": torch.ones(1)}), "no multilayer perceptron"),

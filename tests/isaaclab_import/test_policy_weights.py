@@ -143,6 +143,27 @@ def test_onnx(tmp_path: Path, normalized: bool, form: str) -> None:
     assert found.activation == "elu"
 
 
+@pytest.mark.parametrize("change", ["tanh at the end", "other slope", "mixed", "unknown"])
+def test_other_activations_are_refused(tmp_path: Path, change: str) -> None:
+    actor = ActorCritic().actor
+    if change == "tanh at the end":
+        actor.append(torch.nn.Tanh())
+    else:
+        actor[1] = {"other slope": torch.nn.ELU(0.5), "mixed": torch.nn.ReLU(), "unknown": torch.nn.SiLU()}[change]
+    torch.jit.script(Exported(actor, torch.nn.Identity())).save(str(tmp_path / "policy.pt"))
+    with pytest.raises(RunDirectoryError, match="activations"):
+        read_policy(tmp_path / "policy.pt")
+
+
+def test_normalization_of_the_critic(tmp_path: Path) -> None:
+    policy, normalizer = ActorCritic(), Normalizer()
+    for key in ("privileged_obs_norm_state_dict", "critic_obs_norm_state_dict"):
+        torch.save(checkpoint(policy) | {key: normalizer.state_dict()}, tmp_path / "model_1.pt")
+        found = read_policy(tmp_path / "model_1.pt").critic
+        assert found is not None
+        torch.testing.assert_close(outputs(found, X), policy.critic(normalizer(X)))
+
+
 def test_bad_files(tmp_path: Path) -> None:
     recurrent = {"model_state_dict": {"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}, "iter": 1}
     bad: dict[str, object] = {"recurrent": recurrent, "a list": [1, 2], "no networks": {"iter": 3}}

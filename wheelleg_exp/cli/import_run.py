@@ -14,7 +14,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="RUN", type=Path, help="the run's folder, or its env.yaml or deploy.yaml")
     parser.add_argument("--robot", metavar="FILE", type=Path, required=True, help="the robot's USD or URDF file")
     parser.add_argument("--policy", metavar="FILE", type=Path, help="a policy: model_<n>.pt, policy.pt, or policy.onnx")
-    text = "the author's Python code, of which the needed functions are copied"
+    text = "the author's Python code, of which the needed functions are copied, and then run"
     parser.add_argument("--terms", metavar="FOLDER", type=Path, help=text)
     text = "a YAML file that maps the run's names of joints and links to those of the robot file"
     parser.add_argument("--names", metavar="FILE", type=Path, help=text)
@@ -44,4 +44,5 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("      wheelleg play latest")
         print("      wheelleg evaluate latest protocol=walk")
+        print(f"      wheelleg train task={made.name} init_from=imported_policy.pt init_from_what={made.what}")
     return EXIT_OK

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, NAME, RULE, ImportReport, Section
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights
 
@@ -45,13 +46,13 @@ def convert_agent(
     algorithm.finish()
     policy = part.section("policy")
     normalized = bool(part.take("empirical_normalization"))
-    std = policy.take("init_noise_std", 1.0)
-    activation = policy.take("activation", "elu")
-    if weights is not None and weights.activation not in (None, activation):
-        report.add(
-            "agent.yaml.policy.activation", ASSUMED, f"{weights.activation}, as in the networks, not {activation}"
-        )
-        activation = weights.activation
+    if policy.take("state_dependent_std"):
+        key, expected = "agent.yaml: policy.state_dependent_std", "a standard deviation that is the same in all states"
+        raise ConfigError("the deviation of the actions depends on the state", key=key, expected=expected)
+    std, std_type = policy.take("init_noise_std", 1.0), policy.take("noise_std_type", "scalar")
+    if weights is not None and weights.std is not None:
+        std_type = "log" if weights.log_std else "scalar"
+    default = policy.take("activation", "elu")
     for role in ("actor", "critic"):
         own = part.section(role)  # rsl_rl since 4.0
         hidden = policy.take(f"{role}_hidden_dims") or own.take("hidden_dims") or [256, 256, 256]
@@ -65,25 +66,31 @@ def convert_agent(
         agent[role] = {
             "class_name": "MLPModel",
             "hidden_dims": list(hidden),
-            "activation": own.take("activation", activation),
+            "activation": own.take("activation", default),
         }
+        activation = None if weights is None or role == "critic" else weights.activation
+        if activation not in (None, agent[role]["activation"]):
+            if tree is not None:
+                report.add(f"agent.yaml.{role}.activation", ASSUMED, f"{activation}, as in the networks")
+            default = agent[role]["activation"] = activation
         agent[role]["obs_normalization"] = bool(flag)
-        for skipped in ("class_name", "distribution_cfg", "stochastic", "init_noise_std", "noise_std_type"):
-            own.take(skipped)
+        given_std = own.take("distribution_cfg", {})
+        if role == "actor":
+            std, std_type = given_std.get("init_std", std), given_std.get("std_type", std_type)
+        own.skip("class_name", "stochastic", "init_noise_std", "noise_std_type")
         own.finish()
     agent["actor"]["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": float(std)}
+    agent["actor"]["distribution_cfg"] |= {"std_type": std_type} if std_type != "scalar" else {}
     if tree is None and weights is not None and weights.activation is None:
-        report.add("agent.yaml.policy.activation", ASSUMED, f"{activation}: the policy file does not name it")
+        report.add("agent.yaml.policy.activation", ASSUMED, f"{default}: the policy file does not name it")
     if tree is None:
         report.add("agent.yaml", ASSUMED, "there is none: the stock settings of PPO, with the networks of the policy")
     else:
         report.add("agent.yaml", NAME, "rsl_rl's PPO")
         report.add("agent.yaml.policy", RULE, "became agent.actor and agent.critic")
-    for skipped in ("class_name", "noise_std_type", "state_dependent_std"):
-        policy.take(skipped)
+    policy.skip("class_name")
     policy.finish()
-    for skipped in _NOT_LEARNING:
-        part.take(skipped)
+    part.skip(*_NOT_LEARNING)
     part.finish()
     return agent
 

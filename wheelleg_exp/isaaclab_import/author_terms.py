@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.files import read_text
 
 _MOST_FILES = 20_000
@@ -29,9 +29,7 @@ class AuthorTerms:
         self._files: list[Path] = []
         if folder is not None:
             if not folder.is_dir():
-                raise ConfigError(
-                    "the folder does not exist", key=f"--terms {folder}", expected="a folder of Python files"
-                )
+                raise ConfigError("the path is no folder", key=f"--terms {folder}", expected="a folder of Python files")
             self._files = sorted(folder.rglob("*.py"))[:_MOST_FILES]
         self._trees: dict[Path, ast.Module] = {}
         self._needed: dict[Path, list[str]] = {}
@@ -77,7 +75,7 @@ class AuthorTerms:
         if file not in self._trees:
             try:
                 self._trees[file] = _adapted(ast.parse(read_text(file)))
-            except (SyntaxError, ValueError, RecursionError):
+            except (SyntaxError, ValueError, RecursionError, WheellegError):
                 self._trees[file] = ast.Module([], [])
         return {name: part for part in self._trees[file].body for name in _defined(part)}
 
@@ -123,6 +121,9 @@ class AuthorTerms:
 
     def _import(self, part: ast.Import | ast.ImportFrom, used: set[str], called: set[str], file: Path) -> str:
         """Return import lines of the names that are ``used``; names outside ``called`` are only in annotations."""
+        if part.names[0].name == "*":
+            module = getattr(part, "module", None) or ""
+            return f"from {module} import *" if not getattr(part, "level", 0) and _exists(module) else ""
         names = [item for item in part.names if (item.asname or item.name.split(".")[0]) in used]
         if not names or (isinstance(part, ast.ImportFrom) and part.module == "__future__"):
             return ""

@@ -40,8 +40,10 @@ def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report
     tree = convert(folder, list(dofs), report)
     pose = tree["scene"]["robot"]["init_state"]["joint_pos"]
     height = survey(robot, compose(["task=stand"]).config["env"], pose, allow_missing=True).facts.standing_height
-    tree["scene"]["robot"]["init_state"]["pos"] = [0.0, 0.0, round(height + _SETTLING, 4)]
-    report.add("scene.robot.init_state.pos", ASSUMED, f"{height:.3g} m, the height of the default pose")
+    height = round(height + _SETTLING, 4)
+    tree["scene"]["robot"]["init_state"]["pos"] = [0.0, 0.0, height]
+    text = f"{height} m: the height of the default pose, plus {_SETTLING} m"
+    report.add("scene.robot.init_state.pos", ASSUMED, text)
     report.add("rewards", ASSUMED, "none: a deployment folder does not describe the training")
     report.add("terminations", ASSUMED, "the end of the episode, and a tilt of 1 rad")
     report.add("scene.terrain", ASSUMED, "a plane with friction 1")
@@ -106,17 +108,22 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
         message = f"the policy has {len(order)} joints, but the robot file has {len(names)}"
         raise RunDirectoryError(message, key="joint_ids_map", where=where, expected="the robot of the policy")
     joints = [names[sorted(order).index(motor)] for motor in order]
-    report.add("joint_ids_map", RULE, "the order of the policy; the robot's own order is taken as that of its file")
+    text = f"the motors have the order of the joints in the robot file; the policy's order is {', '.join(joints)}"
+    report.add("joint_ids_map", ASSUMED, text)
     step = (_STEP, round(config["step_dt"] / _STEP))
     report.add("sim.dt", ASSUMED, f"{_STEP} s, Isaac Lab's step for locomotion; {step[1]} steps per control step")
     own = [[config[name][motor] for motor in order] for name in ("stiffness", "damping")]
     tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, own, None))
-    tree["commands"] = _command(config["commands"]["base_velocity"]["ranges"])
+    velocity = (config.get("commands") or {}).get("base_velocity")
+    if velocity is None:
+        raise RunDirectoryError("the policy has no command 'base_velocity'", key="commands", where=where)
+    tree["commands"] = _command(velocity["ranges"])
     (kind, action), *more = config["actions"].items()
     if more:
         raise RunDirectoryError("the policy has several actions", key="actions", where=where, expected="one action")
     spread = {name: dict(zip(joints, action[name], strict=True)) for name in ("scale", "offset") if action.get(name)}
     node = {"class_type": f"{_MDP}.actions.joint_actions:{kind}", "joint_names": joints, "preserve_order": True}
+    node |= {"clip": dict(zip(joints, action["clip"], strict=True))} if action.get("clip") else {}
     tree["actions"] = {"joint_pos": {**node, **spread, "use_default_offset": False}}
     terms = {}
     for name, term in config["observations"].items():
@@ -195,12 +202,12 @@ def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
             factor = [float(factor) * (joint not in wheels) for joint in joints]
             report.add("observations.dof_pos", RULE, "the angles of wheels are 0: their scale is 0")
         terms[name] = _observation(function, **({} if factor is None else {"scale": factor}))
-    report.add("clip_obs", DROPPED, f"{config.get('clip_obs')}: observations of a standing robot are far smaller")
+    report.add("clip_obs", DROPPED, f"{config.get('clip_obs')}: observations are not clipped here")
     group: Tree = {"concatenate_terms": True, "enable_corruption": False}
     history = config.get("observations_history")
     if history:
-        if history != sorted(history, reverse=True):
-            expected = "the oldest observation first"
+        if history != list(range(len(history)))[::-1]:
+            expected = "successive steps, the oldest first"
             message = "this order of the history does not exist here"
             raise RunDirectoryError(message, key="observations_history", where=where, expected=expected)
         group["history_length"] = len(history)

@@ -25,6 +25,7 @@ from wheelleg_exp.isaaclab_import.import_report import (
     Section,
     shown,
 )
+from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
 Tree = Mapping[str, Any]
@@ -65,7 +66,6 @@ _SIM_DROPPED = {
         "save_logs_to_file",
         "log_dir",
         "visualizer_cfgs",
-        "save_logs_to_file",
     ),
     _PHYSX: ("physx", "physics", "disable_contact_processing", "use_gpu_pipeline"),
 }
@@ -105,6 +105,11 @@ _TILE_NAMES = {
     "double_pit": "double_box",
     "flat_patch_sampling": "flat_patches",
 }
+# Keys with values by joint expression, besides those with ``joint`` in their names.
+_BY_JOINT = (
+    *("scale", "offset", "clip", "stiffness", "damping", "effort_limit", "velocity_limit", "effort_limit_sim"),
+    *("velocity_limit_sim", "armature", "friction", "viscous_friction", "dynamic_friction"),
+)
 _CONTACTS = 8  # most contacts of a body that are summed; Isaac Lab sums all
 _FRICTION = 0.5  # Isaac Lab's default coefficient of a material
 
@@ -112,12 +117,12 @@ _FRICTION = 0.5  # Isaac Lab's default coefficient of a material
 class EnvMapping:
     """Converts one ``env.yaml``.
 
-    ``dofs`` are the robot file's joints by name. ``names`` maps the run's names of joints and links to other names in
-    the robot file.
+    ``dofs`` are the robot file's joints by name, and ``links`` the names of its links. ``names`` maps the run's names
+    of joints and links to other names in the robot file.
 
     ``user_target`` returns the target of a function of the author, such as ``my_robot.rewards.energy``, or None if its
     code is unknown. After ``convert``, ``robot`` and ``env`` contain the config, and ``lost`` the names of observation
-    groups that lack a term.
+    groups that lack a term, and ``networks`` the file names of actuator networks.
     """
 
     def __init__(
@@ -127,11 +132,10 @@ class EnvMapping:
         user_target: Callable[[str, Iterable[str]], str | None],
         report: ImportReport,
         names: Mapping[str, str] | None = None,
+        links: Iterable[str] = (),
     ) -> None:
-        self._names = dict(names or {})
-        joints = {old: new for old, new in self._names.items() if new in dofs}
-        links = {old: new for old, new in self._names.items() if new not in dofs}
-        self._root = Section(_renamed(tree, joints, links) if names else tree, "", report)
+        self._names = _Names(names or {}, dofs, links)
+        self._root = Section(self._names.applied(tree), "", report)
         self._dofs, self._user_target, self._report = dofs, user_target, report
         self._robot_name = "robot"
         # Isaac Lab 3.0 has ``sim.physics`` instead of ``sim.physx``, and quaternions (x, y, z, w).
@@ -140,6 +144,7 @@ class EnvMapping:
         self.env: dict[str, Any] = {}
         self.seed: int | None = None
         self.lost: list[str] = []
+        self.networks: list[str] = []
 
     def convert(self) -> None:
         """Convert the whole file."""
@@ -170,8 +175,10 @@ class EnvMapping:
     def _scene(self, scene: Section, material: Section) -> None:
         self.env["num_envs"] = int(scene.take("num_envs", 4096))
         self.env["scene"] = {"env_spacing": scene.take("env_spacing", 2.5), "terrain": None, "sensors": {}}
-        scene.drop(_SCENE_DROPPED, _STAGE, NOT_NEEDED)
-        modes = [material.take("friction_combine_mode", "average")]
+        scene.drop(_SCENE_DROPPED, "each environment is a simulation of its own", NOT_NEEDED)
+        modes: list[str] = []
+        frictions = self._frictions(material, modes)
+        sensors = {"ContactSensor": self._contact_sensor, "RayCaster": self._ray_caster, "Imu": self._imu}
         robots = 0
         for name, node in list(scene.items()):
             kind = _last(node.get("class_type")) if isinstance(node, Mapping) else ""
@@ -185,39 +192,40 @@ class EnvMapping:
                 self._robot(part)
             elif kind == "TerrainImporter":
                 self.env["scene"]["terrain"] = self._terrain(part, modes)
-            elif kind in ("ContactSensor", "RayCaster", "Imu"):
-                self.env["scene"]["sensors"][name] = getattr(self, f"_{kind.lower()}")(part)
+            elif kind in sensors:
+                self.env["scene"]["sensors"][name] = sensors[kind](part)
             elif "spawn_light" in str(node) or "Light" in str(node):
                 self._report.add(key, NOT_NEEDED, f"a light: {_DRAWN}")
             elif "spawn_ground_plane" in str(node):
+                material_there = Section(_spawn(node), f"{key}.spawn", self._report).section("physics_material")
+                self.env["scene"]["terrain"] = _plane(*self._frictions(material_there, modes))
                 self._report.add(key, RULE, "a plane")
             else:
-                what = kind or _last(_spawned(node)) or "object"
+                what = kind or _last(_spawn(node).get("func")) or "object"
                 self._report.add(key, DROPPED, f"a {what}: the scene contains only the robot, the ground, and sensors")
         if not robots:
             raise ConfigError("the run has no articulation", key="env.yaml: scene", expected="a robot")
         if self.env["scene"]["terrain"] is None:
-            self._report.add("scene.terrain", ASSUMED, "a plane with friction 1, as the ground plane of Isaac Lab")
-            self.env["scene"]["terrain"] = _plane(1.0, 1.0)
+            self._report.add("scene.terrain", ASSUMED, f"a plane with friction {_FRICTION}, Isaac Lab's default")
+            self.env["scene"]["terrain"] = _plane(_FRICTION, _FRICTION)
         mode = max(modes, key=_COMBINE.index)
         self.robot["friction_combine_mode"] = mode
         self._report.add("friction_combine_mode", RULE, f"{mode}: the mode of higher priority, as in PhysX")
-        self._robot_material(material)
+        self._robot_material(*frictions)
 
-    def _robot_material(self, material: Section) -> None:
-        static, dynamic = (material.take(f"{kind}_friction", _FRICTION) for kind in ("static", "dynamic"))
-        events = self._root.left.get("events") or {}
-        drawn = [
-            name for name, node in events.items() if node and _last(node.get("func")) == "randomize_rigid_body_material"
-        ]
+    def _frictions(self, material: Section, modes: list[str]) -> tuple[float, float]:
+        """Return the static and dynamic friction of a material, and add its combine mode to ``modes``."""
+        modes.append(material.take("friction_combine_mode", "average"))
         material.drop(["restitution"], "MuJoCo's contacts have no restitution")
-        if drawn:
-            return
+        return material.take("static_friction", _FRICTION), material.take("dynamic_friction", _FRICTION)
+
+    def _robot_material(self, static: float, dynamic: float) -> None:
+        """Give all bodies the run's default material; a later event of the run can draw other frictions."""
         target = "wheelleg_exp.mdp.events.randomize_rigid_body_material"
         node: dict[str, Any] = {"_target_": target, "mode": "startup"}
         node |= {"static_friction_range": [static, static], "dynamic_friction_range": [dynamic, dynamic]}
         node |= {"restitution_range": [0.0, 0.0], "num_buckets": 1, "asset_cfg": _entity("robot", body_names=[".*"])}
-        self.env["events"] = {"physics_material": node}
+        self.env["events"] = {"default_material": node}
         text = f"friction {static} (static) and {dynamic} (dynamic) of all bodies, as an event"
         self._report.add("sim.physics_material", RULE, text)
 
@@ -240,18 +248,23 @@ class EnvMapping:
             "self_collisions": articulation.take("enabled_self_collisions"),
         }
         if source:
-            self._report.add(f"{spawn.key}.usd_path", RULE, f"{shown(source)}: replaced by the given robot file")
+            self._report.add(
+                f"{spawn.key}.usd_path", ASSUMED, f"{shown(source)}: the given robot file is the same robot"
+            )
         init.skip(*(name for name in ("lin_vel", "ang_vel") if not any(init.left.get(name) or [])))
         init.finish("resets set the velocity by events")
+        drive = spawn.take("joint_drive", {})
+        gains = drive.get("gains") if isinstance(drive, Mapping) else None
         spawn.drop(
-            ("scale", "variants", "mass_props", "rigid_props", "collision_props", "joint_drive_props", "joint_drive"),
+            ("scale", "variants", "mass_props", "rigid_props", "collision_props", "joint_drive_props"),
             "the robot file is not changed; PhysX's limits of bodies have no counterpart",
         )
         spawn.skip(*spawn.left)
         nodes = part.section("actuators")
         self._require_joints({**self.robot["init_state"]["joint_pos"], **self.robot["init_state"]["joint_vel"]})
         self.robot["actuators"] = {
-            name: self._actuator(Section(n, f"{nodes.key}.{name}", self._report)) for name, n in nodes.items()
+            name: self._actuator(Section(n, f"{nodes.key}.{name}", self._report), gains or {})
+            for name, n in nodes.items()
         }
         driven = [text for node in self.robot["actuators"].values() for text in _listed(node["joint_names_expr"])]
         free = [name for name in self._dofs if not any(re.fullmatch(text, name) for text in driven)]
@@ -261,7 +274,7 @@ class EnvMapping:
         part.skip(*_ROBOT_DROPPED)
         part.finish()
 
-    def _actuator(self, part: Section) -> dict[str, Any]:
+    def _actuator(self, part: Section, gains: Tree) -> dict[str, Any]:
         source = str(part.take("class_type", ""))
         kind = _last(source)
         if kind not in _ACTUATORS or not source.startswith(("isaaclab.", "omni.isaac.lab.")):
@@ -281,18 +294,21 @@ class EnvMapping:
             own, of_engine = part.take(name), part.take(f"{name}_sim")
             if implicit:
                 # Isaac Lab ignores the velocity limit of an implicit actuator.
-                own = of_engine if of_engine is not None else own if name == "effort_limit" else None
-            elif own is None:
-                own = of_engine
-            elif of_engine is not None and of_engine != own:
-                self._report.add(
-                    f"{part.key}.{name}_sim", DROPPED, f"{shown(of_engine)}: the engine has the limit {shown(own)}"
-                )
+                own, of_engine = of_engine if of_engine is not None else own if name == "effort_limit" else None, None
+            elif name == "velocity_limit":
+                own = own if own is not None else of_engine
             if name in accepted:
-                node[name] = self._per_joint(own) if own is not None else self._from_file(part.key, name, joints)
+                limit = self._per_joint(own) if own is not None else self._from_file(part.key, name, joints)
+                node[name] = self._smaller(limit, of_engine, joints) if name == "effort_limit" else limit
         for name in ("stiffness", "damping"):
             own = part.take(name)
-            node[name] = self._per_joint(own) if own is not None else self._from_file(part.key, name, joints)
+            own = own if own is not None else gains.get(name)
+            if name in accepted:
+                node[name] = self._per_joint(own) if own is not None else self._from_file(part.key, name, joints)
+        network = part.take("network_file")
+        if network is not None:
+            self.networks.append(_file_name(network))
+            node["network_file"] = _file_name(network)
         dynamic = part.take("dynamic_friction")
         if dynamic:
             self._report.add(
@@ -310,6 +326,20 @@ class EnvMapping:
             message = f"the robot file has no joint {', '.join(unknown[:5])}"
             expected = f"the robot of the run, or --names FILE; the file has {', '.join(self._dofs)}"
             raise ConfigError(message, key="scene.robot", expected=expected)
+
+    def _smaller(self, limit: Any, of_engine: Any, joints: list[str]) -> Any:
+        """Return the smaller of an explicit actuator's own limit and PhysX's, which clips its torques."""
+        if of_engine is None:
+            return limit
+        own, engine = (
+            values_by_name(value, joints, None, key="effort_limit", what="joint") for value in (limit, of_engine)
+        )
+        pairs = zip(joints, own, engine, strict=True)
+        return {
+            re.escape(name): min(v for v in both if v is not None)
+            for name, *both in pairs
+            if any(v is not None for v in both)
+        }
 
     def _from_file(self, key: str, name: str, joints: list[str]) -> Any:
         """Return a gain or limit from the robot's file, as Isaac Lab does for null."""
@@ -347,12 +377,8 @@ class EnvMapping:
         return list(value)
 
     def _terrain(self, part: Section, modes: list[str]) -> dict[str, Any]:
-        material = part.section("physics_material")
-        modes.append(material.take("friction_combine_mode", "average"))
-        static, dynamic = (material.take(f"{kind}_friction", _FRICTION) for kind in ("static", "dynamic"))
-        material.drop(["restitution"], "MuJoCo's contacts have no restitution")
         kind = part.take("terrain_type", "plane")
-        node = _plane(static, dynamic)
+        node = _plane(*self._frictions(part.section("physics_material"), modes))
         generator = part.section("terrain_generator")
         if kind == "generator":
             accepted = signature_parameters(resolve_target("wheelleg_exp.sim.terrain.TerrainGenerator", part.key))
@@ -373,6 +399,8 @@ class EnvMapping:
             for name, tile in tiles.items():
                 made = self._tile(Section(tile, f"{tiles.key}.{name}", self._report))
                 node["sub_terrains"] |= {} if made is None else {name: made}
+            if not node["sub_terrains"]:
+                raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(_TILES))
             self._report.add(part.key, NAME, "TerrainGenerator")
             generator.drop(("slope_threshold",), "tiles of boxes have vertical edges, other tiles have slopes")
             generator.drop(("border_height",), "the border ends at the level of the ground")
@@ -409,7 +437,7 @@ class EnvMapping:
         part.finish()
         return node
 
-    def _contactsensor(self, part: Section) -> dict[str, Any]:
+    def _contact_sensor(self, part: Section) -> dict[str, Any]:
         node: dict[str, Any] = {"_target_": "wheelleg_exp.sim.sensors.ContactSensor"}
         node |= {"body_names": self._bodies(part.take("prim_path")), "history_length": part.take("history_length", 0)}
         node |= {"track_air_time": part.take("track_air_time", False), "max_contacts": _CONTACTS}
@@ -426,7 +454,7 @@ class EnvMapping:
         part.finish()
         return node
 
-    def _raycaster(self, part: Section) -> dict[str, Any]:
+    def _ray_caster(self, part: Section) -> dict[str, Any]:
         node: dict[str, Any] = {
             "_target_": "wheelleg_exp.sim.sensors.RayCaster",
             "body_name": self._bodies(part.take("prim_path"))[0],
@@ -475,7 +503,7 @@ class EnvMapping:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
         if str(prim_path).startswith("/World/ground"):
             return ["ground"]
-        return _new_names(str(prim_path or ".*").rsplit("/", 1)[-1], self._names)
+        return self._names.of(str(prim_path or ".*").rsplit("/", 1)[-1], "link")
 
     # --- terms ---
 
@@ -495,9 +523,11 @@ class EnvMapping:
     def _group(self, part: Section, name: str) -> dict[str, Any]:
         group: dict[str, Any] = {"terms": {}, "concatenate_terms": True, "enable_corruption": False}
         group |= {"history_length": 0, "flatten_history_dim": True}
+        given = part.left.get("history_length")
         group |= part.take_if_known((*[key for key in group if key != "terms"], "concatenate_dim", "history_order"))
         if group.get("concatenate_dim") == -1:
             del group["concatenate_dim"]
+        no_history = group["history_length"] == 0 and given is not None
         for term, node in part.items():
             key = f"{part.key}.{term}"
             if not isinstance(node, Mapping):
@@ -507,7 +537,7 @@ class EnvMapping:
             if made is None:
                 self.lost.append(name)
             else:
-                if not made.get("history_length"):
+                if no_history or not made.get("history_length"):
                     made.pop("history_length", None)
                     made.pop("flatten_history_dim", None)
                 group["terms"][term] = made
@@ -572,8 +602,14 @@ class EnvMapping:
                 if not value.get("preserve_order"):
                     chosen = {part: _one_expression(names) for part, names in chosen.items()}
                 for part in ("joint_ids", "body_ids"):
-                    if value.get(part) is not None and part.replace("ids", "names") not in chosen:
-                        chosen[part] = value[part]
+                    ids = value.get(part)
+                    if ids is not None and part.replace("ids", "names") not in chosen:
+                        if not all(isinstance(number, int) for number in ids):
+                            expected = "a list of numbers, or names"
+                            raise ConfigError(
+                                f"a part of all {part[:-4]}s is no list", key=f"{key}.{part}", expected=expected
+                            )
+                        chosen[part] = ids
                 return _entity(name, **chosen, **({"preserve_order": True} if value.get("preserve_order") else {}))
             kind = _last(value.get("func") or value.get("class_type"))
             if key in ("noise", "noise_cfg", "bias_noise_cfg") and kind:
@@ -587,12 +623,9 @@ class EnvMapping:
             made = []
             for item in value:
                 kind = _last(item.get("func"))
-                made.append(
-                    {
-                        "_target_": f"wheelleg_exp.mdp.modifiers.{_MODIFIERS.get(kind, kind)}",
-                        **(item.get("params") or {}),
-                    }
-                )
+                settings = {name: setting for name, setting in item.items() if name not in ("func", "params")}
+                settings |= item.get("params") or {}
+                made.append({"_target_": f"wheelleg_exp.mdp.modifiers.{_MODIFIERS.get(kind, kind)}", **settings})
             return made
         return value
 
@@ -602,40 +635,58 @@ def _last(path: Any) -> str:
     return re.split(r"[.:]", str(path or ""))[-1]
 
 
-def _spawned(node: Any) -> Any:
-    return (node.get("spawn") or {}).get("func") if isinstance(node, Mapping) else None
+def _spawn(node: Any) -> Mapping[str, Any]:
+    return node.get("spawn") or {} if isinstance(node, Mapping) else {}
 
 
-def _renamed(value: Any, joints: Mapping[str, str], links: Mapping[str, str]) -> Any:
-    """Replace each expression that matches names of the run by the names of the robot file."""
-    if isinstance(value, Mapping):
-        found: dict[str, Any] = {}
-        for key, item in value.items():
-            own = (
-                (links, links) if key == "body_names" else (joints, joints) if "joint" in str(key) else (joints, links)
-            )
-            found |= dict.fromkeys(_new_names(str(key), joints), _renamed(item, *own))
-        return found
-    if isinstance(value, list):
-        renamed = [(item, _renamed(item, joints, links)) for item in value]
-        return [
-            part
-            for item, new in renamed
-            for part in (new if isinstance(item, str) and isinstance(new, list) else [new])
-        ]
-    if isinstance(value, str):
-        names = _new_names(value, {**links, **joints})
-        return names[0] if len(names) == 1 else names
-    return value
+class _Names:
+    """The run's names of joints and links whose names in the robot file differ.
+
+    For example, with the table ``{q1: l01}``, ``joint_names: [q.*]`` becomes ``[l01, q.*]`` if the robot file has other
+    joints that match ``q.*``, and otherwise ``[l01]``.
+    """
+
+    def __init__(self, table: Mapping[str, str], joints: Iterable[str], links: Iterable[str]) -> None:
+        self._known = {"joint": set(joints), "link": set(links)}
+        unknown = [new for new in table.values() if not any(new in names for names in self._known.values())]
+        if unknown:
+            expected = ", ".join([*self._known["joint"], *self._known["link"]])
+            raise ConfigError(f"the robot file has no joint or link '{unknown[0]}'", key="--names", expected=expected)
+        self._tables = {
+            kind: {old: new for old, new in table.items() if new in names} for kind, names in self._known.items()
+        }
+
+    def applied(self, value: Any, kind: str = "") -> Any:
+        """Return ``value`` with new names; ``kind`` is the kind of names that it holds, or an empty text."""
+        if not self._tables["joint"] and not self._tables["link"]:
+            return value
+        if isinstance(value, Mapping):
+            found: dict[str, Any] = {}
+            for key, item in value.items():
+                own = "link" if "bod" in str(key) else "joint" if "joint" in str(key) or key in _BY_JOINT else kind
+                found |= dict.fromkeys(self.of(str(key), kind), self.applied(item, own))
+            return found
+        if isinstance(value, list):
+            new = [(item, self.applied(item, kind)) for item in value]
+            return [part for item, parts in new for part in (self.of(item, kind) if isinstance(item, str) else [parts])]
+        if isinstance(value, str):
+            names = self.of(value, kind)
+            return names[0] if len(names) == 1 else names
+        return value
+
+    def of(self, expression: str, kind: str) -> list[str]:
+        """Return the expressions that replace an expression of joints or links."""
+        table, known = self._tables.get(kind, {}), self._known.get(kind, set())
+        try:
+            found = [] if expression == ".*" else [new for old, new in table.items() if re.fullmatch(expression, old)]
+            matches = any(re.fullmatch(expression, name) for name in known)
+        except re.error:
+            return [expression]
+        return [*found, expression] if matches or not found else found
 
 
-def _new_names(expression: str, names: Mapping[str, str]) -> list[str]:
-    """Return the new names of the run's names that an expression matches; the expression itself if it matches none."""
-    try:
-        found = [] if expression == ".*" else [new for old, new in names.items() if re.fullmatch(expression, old)]
-    except re.error:
-        found = []
-    return found or [expression]
+def _file_name(path: Any) -> str:
+    return re.split(r"[/\\]", str(path))[-1]
 
 
 def _listed(expressions: Any) -> list[str]:

@@ -14,7 +14,7 @@ NOT_NEEDED = "not needed"
 _MEANINGS = {
     NAME: "the same name exists here, with the same parameters",
     RULE: "written differently here, with the same meaning",
-    ASSUMED: "the folder does not say it: check it",
+    ASSUMED: "the run does not say it, or says something else: check it",
     DROPPED: "has no counterpart, for the given reason",
     CODE: "the author's own code: give its folder with --terms",
     NOT_NEEDED: "does not change what the robot does",
@@ -39,6 +39,11 @@ class ImportReport:
     def add(self, key: str, outcome: str, text: str) -> None:
         """Add a row."""
         self.rows.append(Row(key, outcome, text))
+
+    def replace(self, key: str, outcome: str, text: str) -> None:
+        """Add a row in place of all earlier rows with its key."""
+        self.rows = [row for row in self.rows if row.key != key]
+        self.add(key, outcome, text)
 
     def of(self, outcome: str) -> list[Row]:
         """Return the rows with the given outcome."""

@@ -12,9 +12,10 @@ import torch
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.asset.convert_robot import read
+from wheelleg_exp.build import build_env
 from wheelleg_exp.config.checking.find_mistakes import compose_valid, find_mistakes
 from wheelleg_exp.config.config_errors import raise_all
-from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.files import for_people, temporary_folder, write_bytes
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent, is_runner
 from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
@@ -22,7 +23,7 @@ from wheelleg_exp.isaaclab_import.deploy_folders import as_isaac_lab
 from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, RULE, ImportReport
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights, read_policy
-from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_folder, read_mapping
+from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_folder, read_names
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.project.create import project_files, require_place, require_robot_file, write
@@ -38,11 +39,15 @@ _TASK = "# @package _global_\n# The task of an imported run. README.md lists wha
 
 @dataclass(frozen=True)
 class Imported:
-    """An imported folder: the new project, its run directory (None without a policy), and the report."""
+    """An imported folder: the new project, its run directory (None without a policy), and the report.
+
+    ``what`` names the imported networks for ``init_from_what``.
+    """
 
     path: Path
     name: str
     run: Path | None
+    what: str
     report: ImportReport
 
 
@@ -74,14 +79,16 @@ def import_run(
         task, lost = _write_project(draft, folder, robot, weights, author, report, names)
         draft.rename(path)
     try:
-        run = None if weights is None else _write_run(path, task, weights, lost, command, display, report)
-        write(path, {"README.md": _readme(path.name, folder, report)})
+        run, what = None, ""
+        if weights is not None:
+            run, what = _write_run(path, task, weights, lost, command, display, report)
+        write(path, {"README.md": _readme(path.name, folder, what, report)})
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
         raise
     finally:
         projects.forget(path)
-    return Imported(path, path.name, run, report)
+    return Imported(path, path.name, run, what, report)
 
 
 def _write_project(
@@ -102,8 +109,11 @@ def _write_project(
         if folder.kind != "env.yaml":
             tree = as_isaac_lab(folder, copied, dofs, report)
         clip = tree.pop("clip_actions", None)
-        mapping = EnvMapping(tree, dofs, author.target, report, read_mapping(names) if names is not None else None)
+        table, links = {} if names is None else read_names(names), [body.name for body in description.bodies]
+        mapping = EnvMapping(tree, dofs, author.target, report, table, links)
         mapping.convert()
+        for network in mapping.networks:
+            _copy_network(network, [folder.path, folder.config_file.parent, robot.parent], copied.parent)
         if folder.joint_order is not None and sorted(folder.joint_order) == sorted(dofs):
             mapping.robot["joint_order"] = folder.joint_order
             report.add("joint_order", RULE, "the order in IO_descriptors.yaml")
@@ -160,20 +170,23 @@ def _write_run(
     command: Sequence[str],
     display: Display,
     report: ImportReport,
-) -> Path:
+) -> tuple[Path, str]:
     from wheelleg_exp.jobs.train.prepare_training import prepare
     from wheelleg_exp.jobs.train.run_training import record_untrained
 
     configs = [path / projects.CONFIGS]
-    composed = compose_valid([f"task={path.name}"], config_dirs=configs)
-    agent = composed.config["agent"]
+    _try_env(path, task, weights, report)
+    agent = compose_valid([f"task={path.name}"], config_dirs=configs).config["agent"]
     actor, critic = weights.actor.state(), weights.critic.state() if weights.critic is not None else {}
     std = weights.std
     if std is None:
         init = agent["actor"]["distribution_cfg"]["init_std"]
         std = torch.full((weights.actor.widths[1],), float(init))
         report.add("policy", ASSUMED, f"a standard deviation of {init} of the actions, for training only")
-    actor["distribution.std_param"] = std.detach().clone()
+    if agent["actor"]["distribution_cfg"].get("std_type") == "log":
+        actor["distribution.log_std_param"] = std.detach().log()
+    else:
+        actor["distribution.std_param"] = std.detach().clone()
     state = {"format_version": checkpoint.FORMAT_VERSION, "iter": weights.iteration, "actor_state_dict": actor}
     state["critic_state_dict"] = critic
     what = "policy"
@@ -187,39 +200,72 @@ def _write_run(
     write_bytes(path / _POLICY, checkpoint.serialize(state))
     words = [f"task={path.name}", f"init_from={path / _POLICY}", f"init_from_what={what}", f"run.root={path / 'runs'}"]
     words += [f"env.num_envs={_NUM_ENVS}", "run.name=imported", "recording.enabled=false"]
+    training = prepare(compose_valid(words, config_dirs=configs), command, display)
+    record_untrained(training, display)
+    return training.directory.path, what
+
+
+def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights, report: ImportReport) -> None:
+    """Make a control step of the task without those of the author's terms that fail, and compare the policy's width."""
+    words = [f"task={path.name}", "env.num_envs=2"]
     while True:
+        composed = compose_valid(words, config_dirs=[path / projects.CONFIGS])
         try:
-            training = prepare(compose_valid(words, config_dirs=configs), command, display)
+            env = build_env(composed.config, composed.asset_roots)
+            env.reset()
+            env.step(torch.zeros(2, env.num_actions, device=env.device))
             break
-        except ConfigError as error:
+        except (ConfigError, SimulationFailure) as error:
             if not _without_failing_term(path, task, error, report):
                 raise
-    record_untrained(training, display)
-    return training.directory.path
+    manager, group = env.observation_manager, composed.config["agent"]["obs_groups"]["actor"][0]
+    dims = [int(torch.tensor(dim).prod()) for dim in manager.group_obs_term_dim[group]]
+    given, needed = (sum(dims), env.num_actions), weights.actor.widths
+    if given != needed:
+        message = f"the policy has {needed[0]} observations and {needed[1]} actions, the task {given[0]} and {given[1]}"
+        terms = ", ".join(f"{name} {dim}" for name, dim in zip(manager.active_terms[group], dims, strict=True))
+        raise RunDirectoryError(
+            message, key=str(weights.path), expected=f"the policy of the run; observations: {terms}"
+        )
+    if composed.config["env"]["robot"]["joint_order"] is None:
+        names = ", ".join(env.scene.robot.joint_names)
+        report.add("joint_order", ASSUMED, f"{names}: breadth first in the robot file; set joint_order to change it")
 
 
-def _without_failing_term(path: Path, task: dict[str, Any], error: ConfigError, report: ImportReport) -> bool:
+def _copy_network(name: str, folders: Sequence[Path], to: Path) -> None:
+    """Copy the file of an actuator network, which Isaac Lab loads from a server, from one of some folders."""
+    found = next((folder / name for folder in folders if (folder / name).is_file()), None)
+    if found is None:
+        message = f"the run has an actuator with the network '{name}'"
+        raise ConfigError(message, key="network_file", expected=f"this file in {folders[0]}")
+    shutil.copyfile(found, to / name)
+
+
+def _without_failing_term(path: Path, task: dict[str, Any], error: WheellegError, report: ImportReport) -> bool:
     """Remove the author's term that an error names from the task, unless the policy needs the term."""
     parts = (error.key or "").split(".")
     section = task["env"].get(parts[1]) if len(parts) > 2 and parts[1] in _OPTIONAL else None
     if not section or not str(section.get(parts[2], {}).get("_target_")).startswith(f"{path.name}."):
         return False
     del section[parts[2]]
-    report.add(".".join(parts[1:3]), CODE, f"the copied function fails: {error.message}")
+    report.replace(".".join(parts[1:3]), CODE, f"the copied function fails: {error.message}")
     write(path, {f"configs/task/{path.name}.yaml": _TASK + dump_yaml(task)})
     return True
 
 
-def _readme(name: str, folder: RunFolder, report: ImportReport) -> str:
+def _readme(name: str, folder: RunFolder, what: str, report: ImportReport) -> str:
+    commands = f"wheelleg train task={name}"
+    if what:
+        commands = f"""wheelleg play latest --drive            # drive the robot, or: wheelleg play latest
+wheelleg evaluate latest protocol=walk  # measure the policy
+wheelleg train task={name} init_from={_POLICY} init_from_what={what}   # train further"""
     return f"""# {name}
 
 Imported from `{folder.path.name}/{folder.config_file.name}`. `configs/robot/{name}.yaml` and `configs/task/{name}.yaml`
-are the robot and the task; `runs/` has a run directory with the policy.
+are the robot and the task.{" `runs/` has a run directory with the policy." if what else ""}
 
 ```bash
-wheelleg play latest --drive            # drive the robot, or: wheelleg play latest
-wheelleg evaluate latest protocol=walk  # measure the policy
-wheelleg train task={name} init_from={_POLICY}   # train further
+{commands}
 ```
 
 # What was imported

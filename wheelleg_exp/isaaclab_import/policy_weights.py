@@ -12,7 +12,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,12 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.isaaclab_import.run_folder import LFS
 from wheelleg_exp.plain_data import require_bounded
 
 _EPSILON = 1e-2  # rsl_rl divides by the standard deviation plus this number.
-_LFS = b"version https://git-lfs"
 _LAYER = re.compile(r"(?:fc)?(\d+)\.(weight|bias)")
+_CONSTANT = re.compile(r"(alpha|negative_slope) : Final\[float\] = ([\d.e-]+)")  # in the code of a TorchScript file
 _PARTS = ("actor", "critic", "std", "log_std", "mlp", "distribution")  # besides normalizers
 _ACTIVATIONS = {
     "Elu": "elu", "ELU": "elu", "Relu": "relu", "ReLU": "relu", "Tanh": "tanh", "LeakyRelu": "lrelu",
@@ -79,30 +80,29 @@ class PolicyWeights:
     activation: str | None = None
     optimizer: Mapping[str, Any] | None = None
     iteration: int = 0
-    notes: list[str] = field(default_factory=list)
+    log_std: bool = False  # whether the file has the logarithm of ``std``
 
 
 def read_policy(path: Path) -> PolicyWeights:
     """Read a policy file. RunDirectoryError means that the file is damaged, or contains another kind of network."""
     try:
         with path.open("rb") as stream:
-            start = stream.read(len(_LFS))
+            start = stream.read(len(LFS))
     except OSError as error:
         raise RunDirectoryError(f"the policy cannot be read: {error.strerror}", key=str(path)) from error
-    if start == _LFS:
+    if start == LFS:
         raise RunDirectoryError(
             "the file is a pointer of Git LFS, not the policy", key=str(path), expected="git lfs pull"
         )
     try:
         if path.suffix == ".onnx":
             return _from_onnx(path)
-        state = _tensors(path)
+        return _tensors(path)
     except RunDirectoryError:
         raise
     except Exception as error:  # Damaged files raise many types of errors.
-        message = f"the policy cannot be read: {' '.join(str(error).split())[:160] or type(error).__name__}"
+        message = "the policy cannot be read: the file is damaged, or no policy"
         raise RunDirectoryError(message, key=str(path), expected=_EXPECTED) from error
-    return state
 
 
 def _tensors(path: Path) -> PolicyWeights:
@@ -128,10 +128,12 @@ def _tensors(path: Path) -> PolicyWeights:
         if any(name.startswith("critic.") for name in whole):
             found.critic = _network(whole, "critic", "critic_obs_normalizer", path)
         std, log_std = whole.get("std"), whole.get("log_std")
-        for network, key in ((found.actor, "obs_norm_state_dict"), (found.critic, "privileged_obs_norm_state_dict")):
+        keys = ((found.actor, "obs_norm_state_dict"), (found.critic, "privileged_obs_norm_state_dict"))
+        for network, key in (*keys, (found.critic, "critic_obs_norm_state_dict")):
             if network is not None and isinstance(state.get(key), Mapping):  # rsl_rl before 3.0
                 _normalize(network, state[key], "")
     found.std = std if std is not None else log_std.exp() if log_std is not None else None
+    found.log_std = std is None and log_std is not None
     found.iteration = int(state.get("iter", 0))
     found.optimizer = state.get("optimizer_state_dict")
     return found
@@ -179,9 +181,29 @@ def _from_torchscript(path: Path, archive: zipfile.ZipFile, root: str) -> Policy
     tensors = {name: value for name, value in parts if isinstance(value, torch.Tensor)}
     names = ("mlp", "obs_normalizer") if any(name.startswith("mlp.") for name in tensors) else ("actor", "normalizer")
     found = PolicyWeights(path, _network(tensors, *names, path))
-    kinds = [type(value).__name__ for _, value in parts]
-    found.activation = next((_ACTIVATIONS[kind] for kind in kinds if kind in _ACTIVATIONS), None)
+    layers = [(int(name.split(".")[1]), value) for name, value in parts if re.fullmatch(rf"{names[0]}\.\d+", name)]
+    between = [value for _, value in sorted(layers, key=lambda layer: layer[0]) if type(value).__name__ != "Linear"]
+    if layers and len(layers) != 2 * len(found.actor.layers) - 1:
+        between.append(_Module())  # an activation after the last layer
+    code = "".join(archive.read(name).decode(errors="replace") for name in archive.namelist() if name.endswith(".py"))
+    settings = [{name: float(number)} for name, number in _CONSTANT.findall(code)]
+    kinds = [type(value).__name__ for value in between]
+    found.activation = _one_activation([(kind, one) for kind in kinds for one in settings or [{}]], path)
     return found
+
+
+def _one_activation(found: list[tuple[str, Mapping[str, Any]]], path: Path) -> str | None:
+    """Return rsl_rl's name of the activation between all layers; refuse anything else than one usual activation."""
+    kinds = {kind for kind, _ in found}
+    for kind, settings in found:
+        usual = settings.get("alpha", 1.0) == 1.0 and settings.get("negative_slope", 0.01) == 0.01
+        if kind not in _ACTIVATIONS or not usual or len(kinds) > 1:
+            message = f"the policy has the activations {', '.join(sorted(kinds))}"
+            expected = (
+                f"one of {', '.join(sorted(set(_ACTIVATIONS.values())))} between all layers, with its usual settings"
+            )
+            raise RunDirectoryError(message, key=str(path), expected=expected)
+    return _ACTIVATIONS[found[0][0]] if found else None
 
 
 def _network(state: Mapping[str, Any], prefix: str, normalizer: str, path: Path) -> Network:
@@ -221,7 +243,8 @@ def _from_onnx(path: Path) -> PolicyWeights:
         if node.op_type == "Constant":
             values[node.output[0]] = torch.tensor(numpy_helper.to_array(node.attribute[0].t))
     layers, network = list[tuple[torch.Tensor, torch.Tensor]](), Network([])
-    activation, current, pending = None, None, None
+    activations = list[tuple[str, Mapping[str, Any]]]()
+    current, pending = None, None
     for node in graph.node:
         known = [values[name].float() for name in node.input if name in values]
         kind = node.op_type
@@ -240,14 +263,19 @@ def _from_onnx(path: Path) -> PolicyWeights:
         elif kind == "Div" and len(known) == 1 and not layers:
             network.deviation = known[0].reshape(-1) - _EPSILON
         elif kind in _ACTIVATIONS:
-            activation = _ACTIVATIONS[kind]
+            settings = {item.name: item.f for item in node.attribute}
+            slope = settings.get("alpha", 0.01) if kind == "LeakyRelu" else 0.01
+            alpha = 1.0 if kind in ("LeakyRelu", "Selu") else settings.get("alpha", 1.0)
+            activations.append((kind, {"alpha": alpha, "negative_slope": slope}))
         elif kind not in ("Constant", "Identity", "Cast", "Flatten", "Squeeze"):
             message = f"the policy has the operation '{kind}'"
             raise RunDirectoryError(message, key=str(path), expected="a multilayer perceptron")
         current = node.output[0] if kind != "Constant" else current
     if not layers:
         raise RunDirectoryError("the policy has no linear layers", key=str(path), expected=_EXPECTED)
-    if network.mean is not None and network.deviation is None:
+    if (network.mean is None) != (network.deviation is None):
         raise RunDirectoryError("the policy's normalization is not rsl_rl's", key=str(path), expected=_EXPECTED)
+    if len(activations) != len(layers) - 1:
+        activations.append(("another operation", {}))  # after the last layer, or missing between two layers
     network.layers = layers
-    return PolicyWeights(path, network, activation=activation)
+    return PolicyWeights(path, network, activation=_one_activation(activations, path))

@@ -16,7 +16,7 @@ _LARGEST = 16 << 20  # bytes of a YAML file
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _POLICIES = ("policy.onnx", "policy.pt")
 _DESCRIPTORS = "IO_descriptors.yaml"  # Isaac Lab's description of observations and actions
-_LFS = b"version https://git-lfs"
+LFS = b"version https://git-lfs"
 # The file that describes the environment: an Isaac Lab run, unitree_rl_lab, rl_sar.
 KINDS = {"env.yaml": "an Isaac Lab run", "deploy.yaml": "a deployment of unitree_rl_lab", "config.yaml": "rl_sar"}
 _EXPECTED = "an Isaac Lab run with params/env.yaml, or a folder with deploy.yaml or rl_sar's config.yaml"
@@ -53,7 +53,7 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
     root = file.parent.parent if file.parent.name == "params" else file.parent
     agent = file.with_name("agent.yaml")
     if policy is not None and not policy.is_file():
-        raise RunDirectoryError("there is no such file", key=f"--policy {policy}", expected="a policy file")
+        raise RunDirectoryError("the path is no file", key=f"--policy {policy}", expected="a policy file")
     content = _read(agent) if agent.is_file() else None
     config = _read(file)
     described = next((p for below in ("io_descriptors/", "") if (p := root / f"{below}{_DESCRIPTORS}").is_file()), None)
@@ -64,6 +64,16 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
 def read_mapping(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file that must be a mapping."""
     return _read(path)
+
+
+def read_names(path: Path) -> dict[str, str]:
+    """Return the content of a file that maps names to names."""
+    expected = "lines such as 'FL_hip: front_left_hip'"
+    names = _read(path, expected)
+    for old, new in names.items():
+        if not isinstance(old, str) or not isinstance(new, str):
+            raise RunDirectoryError(f"{old!r}: {new!r} are no names", key=str(path), expected=expected)
+    return names
 
 
 def _joint_order(descriptors: Mapping[str, Any]) -> list[str] | None:
@@ -84,9 +94,9 @@ def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path, expected: str = _EXPECTED) -> dict[str, Any]:
     data = read_bytes(path, _LARGEST)
-    if data.startswith(_LFS):
+    if data.startswith(LFS):
         raise RunDirectoryError("the file is a pointer of Git LFS", key=str(path), expected="git lfs pull")
     try:
         value = tagged_yaml_value(data)
@@ -94,7 +104,7 @@ def _read(path: Path) -> dict[str, Any]:
         where = str(path) if error.line is None else f"{path}:{error.line}"
         raise RunDirectoryError(f"the YAML file cannot be read: {error.problem}", where=where) from error
     if not isinstance(value, Mapping):
-        raise RunDirectoryError("the file contains no mapping", key=str(path), expected=_EXPECTED)
+        raise RunDirectoryError("the file contains no mapping", key=str(path), expected=expected)
     return dict(value)
 
 
