@@ -8,6 +8,8 @@ from pathlib import Path
 
 from wheelleg_exp.errors import EXIT_OK
 
+_WIDEST = 200  # letters of a row's text; README.md has the whole text
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -26,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
-        from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED
+        from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, shown
         from wheelleg_exp.isaaclab_import.import_run import import_run
     stop.check()
     options = {"policy": args.policy, "terms": args.terms, "names": args.names, "command": args.command}
@@ -35,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"created {place}: {made.report.counts()}")
     for outcome in (CODE, ASSUMED, DROPPED):
         for row in made.report.of(outcome):
-            print(f"  {outcome}: {row.key}: {row.text}")
+            print(f"  {outcome}: {row.key}: {shown(row.text, _WIDEST)}")
     print(f"report: {place}/README.md")
     print(f"next: cd {place}")
     if made.run is None:

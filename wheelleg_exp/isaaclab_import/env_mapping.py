@@ -217,7 +217,11 @@ class EnvMapping:
         """Return the static and dynamic friction of a material, and add its combine mode to ``modes``."""
         modes.append(material.take("friction_combine_mode", "average"))
         material.drop(["restitution"], "MuJoCo's contacts have no restitution")
-        return material.take("static_friction", _FRICTION), material.take("dynamic_friction", _FRICTION)
+        static, dynamic = (material.take(f"{kind}_friction", _FRICTION) for kind in ("static", "dynamic"))
+        if static != dynamic:
+            text = f"{dynamic}: MuJoCo has one coefficient, and the static one ({static}) counts"
+            self._report.add(f"{material.key}.dynamic_friction", DROPPED, text)
+        return static, dynamic
 
     def _robot_material(self, static: float, dynamic: float) -> None:
         """Give all bodies the run's default material; a later event of the run can draw other frictions."""
@@ -429,7 +433,9 @@ class EnvMapping:
         if kind == "PyramidSlope":
             low, high = part.take("slope_range")
             node["slope_range"] = [math.atan(low), math.atan(high)]
-            self._report.add(f"{part.key}.slope_range", RULE, f"[{low}, {high}] (rise over run) became radians")
+            self._report.add(
+                f"{part.key}.slope_range", RULE, f"[{low}, {high}] (rise over run) became radians, also between them"
+            )
         node |= part.take_if_known(accepted)
         self._report.add(part.key, NAME, kind)
         part.skip("size", "vertical_scale")

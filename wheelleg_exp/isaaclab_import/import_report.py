@@ -55,9 +55,10 @@ class ImportReport:
         return ", ".join(f"{found[outcome]} {outcome}" for outcome in _MEANINGS if found[outcome])
 
     def markdown(self) -> str:
-        """Return the report as Markdown: one table per outcome."""
+        """Return the report as Markdown: one table per outcome, and first what the user should check."""
         parts = [f"{self.counts()}.\n"]
-        for outcome, meaning in _MEANINGS.items():
+        for outcome in (CODE, ASSUMED, DROPPED, RULE, NAME, NOT_NEEDED):
+            meaning = _MEANINGS[outcome]
             rows = self.of(outcome)
             if rows:
                 lines = [f"| `{row.key}` | {' '.join(row.text.split()).replace('|', '&#124;')} |" for row in rows]
