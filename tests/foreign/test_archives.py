@@ -19,6 +19,7 @@ from wheelleg_exp.cli.main import COMMANDS
 from wheelleg_exp.files import write_json, write_text, write_yaml
 from wheelleg_exp.jobs.result_record import result_manifest, result_page
 from wheelleg_exp.packages import _trust_file
+from wheelleg_exp.paths import find_asset
 from wheelleg_exp.run.timestamps import utc_now, utc_text
 
 pytestmark = pytest.mark.train
@@ -218,6 +219,10 @@ TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "diff": lambda r: [("diff", r, "stand")],
     "list": lambda r: [("list", "runs", "--root", r), ("list", "runs", "--sweep", r)],
     "new": lambda r: [("new", "project", "--robot", r)],
+    "import": lambda r: [
+        ("import", r, "--robot", r, "--output", "imported"),
+        ("import", r, "--robot", str(find_asset("wheelleg/wheelleg.usda")), "--policy", r, "--output", "imported"),
+    ],
 }
 # These commands succeed on a healthy run.
 USING = ("train", "resume", "play", "evaluate", "export", "report", "inspect")
