@@ -37,7 +37,8 @@ scene:
     spawn:
       func: isaaclab.sim.spawners.from_files.from_files:spawn_from_usd
       usd_path: C:\\work\\robot.usd
-      articulation_props: {enabled_self_collisions: false, fix_root_link: null}
+      articulation_props: {enabled_self_collisions: false, fix_root_link: null, solver_position_iteration_count: 8}
+      link_density: 1.0e-8
     init_state:
       pos: !!python/tuple [0.0, 0.0, 0.085]
       rot: !!python/tuple [1.0, 0.0, 0.0, 0.0]

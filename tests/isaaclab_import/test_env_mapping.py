@@ -151,6 +151,14 @@ def test_the_ground_plane_has_its_own_friction() -> None:
     assert mapping.robot["friction_combine_mode"] == "max"
 
 
+@pytest.mark.parametrize(("fix_root_link", "base"), [(None, "fixed"), (False, "floating")])
+def test_the_base_is_fixed_by_the_converter_or_the_articulation(fix_root_link: bool | None, base: str) -> None:
+    tree = copy.deepcopy(TREES["env"])
+    spawn = tree["scene"]["robot"]["spawn"]
+    spawn |= {"fix_base": True, "articulation_props": {"fix_root_link": fix_root_link}}
+    assert converted(tree, AGENT)[0].robot["base"] == base
+
+
 def test_names_that_are_not_listed_stay() -> None:
     mapping, _, _ = converted(
         ENV.replace("joint_names_expr: .*03", "joint_names_expr: '.*3'"), AGENT, left_wheel_3="l03"

@@ -74,6 +74,14 @@ _ROBOT_DROPPED = (
     *("prim_path", "collision_group", "debug_vis", "articulation_root_prim_path", "class_type"),
     "actuator_value_resolution_debug_print",
 )
+_SPAWN_DROPPED = (
+    *("func", "visible", "semantic_tags", "copy_from_source", "activate_contact_sensors", "visual_material_path"),
+    *("visual_material", "make_instanceable", "force_usd_conversion", "usd_dir", "usd_file_name", "merge_fixed_joints"),
+)
+_TERRAIN_DROPPED = (
+    *("class_type", "prim_path", "collision_group", "debug_vis", "num_envs", "env_spacing", "use_terrain_origins"),
+    *("visual_material", "use_cache", "cache_dir", "color_scheme"),
+)
 _SENSOR_DROPPED = ("debug_vis", "visualizer_cfg", "class_type", "prim_path")
 # PhysX combines two materials with the mode of higher priority.
 _COMBINE = ("average", "min", "multiply", "max")
@@ -236,7 +244,7 @@ class EnvMapping:
     def _robot(self, part: Section) -> None:
         spawn, init = part.section("spawn"), part.section("init_state")
         articulation = spawn.section("articulation_props")
-        fixed = articulation.take("fix_root_link")
+        fixed = articulation.take("fix_root_link", spawn.take("fix_base"))
         source = next((spawn.take(name) for name in ("usd_path", "asset_path") if name in spawn.left), None)
         self.robot |= {
             "base": "fixed" if fixed else "floating",
@@ -259,11 +267,9 @@ class EnvMapping:
         init.finish("resets set the velocity by events")
         drive = spawn.take("joint_drive", {})
         gains = drive.get("gains") if isinstance(drive, Mapping) else None
-        spawn.drop(
-            ("scale", "variants", "mass_props", "rigid_props", "collision_props", "joint_drive_props"),
-            "the robot file is not changed; PhysX's limits of bodies have no counterpart",
-        )
-        spawn.skip(*spawn.left)
+        articulation.finish(_PHYSX)
+        spawn.skip(*_SPAWN_DROPPED)
+        spawn.finish("the robot file is not changed; PhysX's limits of bodies have no counterpart")
         nodes = part.section("actuators")
         self._require_joints({**self.robot["init_state"]["joint_pos"], **self.robot["init_state"]["joint_vel"]})
         self.robot["actuators"] = {
@@ -383,7 +389,7 @@ class EnvMapping:
     def _terrain(self, part: Section, modes: list[str]) -> dict[str, Any]:
         kind = part.take("terrain_type", "plane")
         node = _plane(*self._frictions(part.section("physics_material"), modes))
-        generator = part.section("terrain_generator")
+        generator, level = part.section("terrain_generator"), part.take("max_init_terrain_level")
         if kind == "generator":
             accepted = signature_parameters(resolve_target("wheelleg_exp.sim.terrain.TerrainGenerator", part.key))
             node["_target_"] = "wheelleg_exp.sim.terrain.TerrainGenerator"
@@ -397,7 +403,6 @@ class EnvMapping:
             }
             node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
             node |= generator.take_if_known(accepted)
-            level = part.take("max_init_terrain_level")
             node |= {"max_init_terrain_level": level} if level is not None else {}
             node["sub_terrains"] = {}
             for name, tile in tiles.items():
@@ -408,13 +413,15 @@ class EnvMapping:
             self._report.add(part.key, NAME, "TerrainGenerator")
             generator.drop(("slope_threshold",), "tiles of boxes have vertical edges, other tiles have slopes")
             generator.drop(("border_height",), "the border ends at the level of the ground")
+            generator.skip(*_TERRAIN_DROPPED)
+            generator.finish()
         else:
             outcome = NAME if kind == "plane" else DROPPED
             self._report.add(
                 part.key, outcome, "Plane" if kind == "plane" else f"terrain of type {kind}: a plane replaces it"
             )
-        generator.skip(*generator.left)
-        part.skip(*part.left)
+        part.skip(*_TERRAIN_DROPPED)
+        part.finish()
         return node
 
     def _tile(self, part: Section) -> dict[str, Any] | None:
@@ -461,15 +468,7 @@ class EnvMapping:
         return node
 
     def _ray_caster(self, part: Section) -> dict[str, Any]:
-        node: dict[str, Any] = {
-            "_target_": "wheelleg_exp.sim.sensors.RayCaster",
-            "body_name": self._bodies(part.take("prim_path"))[0],
-        }
-        offset = part.section("offset")
-        node["offset"] = {
-            "pos": offset.take("pos", [0.0, 0.0, 0.0]),
-            "rot": self._quaternion(offset.take("rot"), offset.key),
-        }
+        node = self._mounted(part, "RayCaster")
         yaw = part.take("attach_yaw_only")
         node["ray_alignment"] = part.take("ray_alignment", "yaw" if yaw else "base")
         pattern = part.section("pattern_cfg")
@@ -484,26 +483,26 @@ class EnvMapping:
         )
         pattern.finish()
         node |= part.take_if_known(("max_distance", "drift_range", "ray_cast_drift_range", "update_period"))
-        self._report.add(part.key, NAME, "RayCaster")
         part.skip("history_length", "mesh_prim_paths", *_SENSOR_DROPPED)
         part.finish()
         return node
 
     def _imu(self, part: Section) -> dict[str, Any]:
-        node: dict[str, Any] = {
-            "_target_": "wheelleg_exp.sim.sensors.Imu",
-            "body_name": self._bodies(part.take("prim_path"))[0],
-        }
-        offset = part.section("offset")
-        node["offset"] = {
-            "pos": offset.take("pos", [0.0, 0.0, 0.0]),
-            "rot": self._quaternion(offset.take("rot"), offset.key),
-        }
+        node = self._mounted(part, "Imu")
         node |= part.take_if_known(("gravity_bias", "update_period"))
-        self._report.add(part.key, NAME, "Imu")
         part.skip("history_length", *_SENSOR_DROPPED)
         part.finish()
         return node
+
+    def _mounted(self, part: Section, kind: str) -> dict[str, Any]:
+        """Return the node of a sensor on a body, with the sensor's pose in the frame of the body."""
+        self._report.add(part.key, NAME, kind)
+        offset, body = part.section("offset"), self._bodies(part.take("prim_path"))[0]
+        pose = {
+            "pos": offset.take("pos", [0.0, 0.0, 0.0]),
+            "rot": self._quaternion(offset.take("rot"), offset.key),
+        }
+        return {"_target_": f"wheelleg_exp.sim.sensors.{kind}", "body_name": body, "offset": pose}
 
     def _bodies(self, prim_path: Any) -> list[str]:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
@@ -529,11 +528,10 @@ class EnvMapping:
     def _group(self, part: Section, name: str) -> dict[str, Any]:
         group: dict[str, Any] = {"terms": {}, "concatenate_terms": True, "enable_corruption": False}
         group |= {"history_length": 0, "flatten_history_dim": True}
-        given = part.left.get("history_length")
+        no_history = part.left.get("history_length") == 0  # null leaves each term its own history
         group |= part.take_if_known((*[key for key in group if key != "terms"], "concatenate_dim", "history_order"))
         if group.get("concatenate_dim") == -1:
             del group["concatenate_dim"]
-        no_history = group["history_length"] == 0 and given is not None
         for term, node in part.items():
             key = f"{part.key}.{term}"
             if not isinstance(node, Mapping):
@@ -611,10 +609,8 @@ class EnvMapping:
                     ids = value.get(part)
                     if ids is not None and part.replace("ids", "names") not in chosen:
                         if not all(isinstance(number, int) for number in ids):
-                            expected = "a list of numbers, or names"
-                            raise ConfigError(
-                                f"a part of all {part[:-4]}s is no list", key=f"{key}.{part}", expected=expected
-                            )
+                            message = f"{shown(ids)} is not a list of numbers"
+                            raise ConfigError(message, key=f"{key}.{part}", expected=f"names in {part[:-4]}_names")
                         chosen[part] = ids
                 return _entity(name, **chosen, **({"preserve_order": True} if value.get("preserve_order") else {}))
             kind = _last(value.get("func") or value.get("class_type"))

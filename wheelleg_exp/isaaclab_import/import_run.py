@@ -129,13 +129,10 @@ def _write_project(
     if mapping.lost and weights is not None:
         lost = [group for group in agent["obs_groups"]["actor"] if group in mapping.lost]
         if lost:
-            rows = [
-                row.key
-                for row in report.rows
-                if row.key.startswith(f"observations.{lost[0]}.") and row.outcome != "by name"
-            ]
+            keys = [row.key for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
+            key = next(key for key in keys if key.startswith(f"observations.{lost[0]}."))
             expected = "--terms FOLDER with the author's Python code"
-            raise ConfigError("the policy observes a term that does not exist here", key=rows[0], expected=expected)
+            raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
     mapping.env["terminations"].setdefault(
         "non_finite_state", {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
     )

@@ -17,8 +17,7 @@ _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _POLICIES = ("policy.onnx", "policy.pt")
 _DESCRIPTORS = "IO_descriptors.yaml"  # Isaac Lab's description of observations and actions
 LFS = b"version https://git-lfs"
-# The file that describes the environment: an Isaac Lab run, unitree_rl_lab, rl_sar.
-KINDS = {"env.yaml": "an Isaac Lab run", "deploy.yaml": "a deployment of unitree_rl_lab", "config.yaml": "rl_sar"}
+_KINDS = ("env.yaml", "deploy.yaml", "config.yaml")  # of an Isaac Lab run, unitree_rl_lab, and rl_sar
 _EXPECTED = "an Isaac Lab run with params/env.yaml, or a folder with deploy.yaml or rl_sar's config.yaml"
 
 
@@ -46,33 +45,28 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
         nearest = str(path.with_name(near)) if near else None
         raise RunDirectoryError("the folder does not exist", key=str(path), expected=_EXPECTED, nearest=nearest)
     folder = path.parent if path.is_file() else path
-    places = [path.name] if path.is_file() else [f"{below}{kind}" for kind in KINDS for below in ("params/", "")]
+    places = [path.name] if path.is_file() else [f"{below}{kind}" for kind in _KINDS for below in ("params/", "")]
     file = next((folder / place for place in places if (folder / place).is_file()), None)
-    if file is None or file.name not in KINDS:
+    if file is None or file.name not in _KINDS:
         raise RunDirectoryError("the folder contains no run", key=str(path), expected=_EXPECTED)
     root = file.parent.parent if file.parent.name == "params" else file.parent
     agent = file.with_name("agent.yaml")
     if policy is not None and not policy.is_file():
-        raise RunDirectoryError("the path is no file", key=f"--policy {policy}", expected="a policy file")
-    content = _read(agent) if agent.is_file() else None
-    config = _read(file)
+        raise RunDirectoryError("there is no such file", key=f"--policy {policy}", expected="a policy file")
+    content = read_mapping(agent) if agent.is_file() else None
+    config = read_mapping(file)
     described = next((p for below in ("io_descriptors/", "") if (p := root / f"{below}{_DESCRIPTORS}").is_file()), None)
-    order = None if described is None else _joint_order(_read(described))
+    order = None if described is None else _joint_order(read_mapping(described))
     return RunFolder(root, file.name, config, file, content, policy or _policy(root, config), order)
-
-
-def read_mapping(path: Path) -> dict[str, Any]:
-    """Return the content of a YAML file that must be a mapping."""
-    return _read(path)
 
 
 def read_names(path: Path) -> dict[str, str]:
     """Return the content of a file that maps names to names."""
     expected = "lines such as 'FL_hip: front_left_hip'"
-    names = _read(path, expected)
+    names = read_mapping(path, expected)
     for old, new in names.items():
         if not isinstance(old, str) or not isinstance(new, str):
-            raise RunDirectoryError(f"{old!r}: {new!r} are no names", key=str(path), expected=expected)
+            raise RunDirectoryError(f"{old!r}: {new!r} is not a pair of names", key=str(path), expected=expected)
     return names
 
 
@@ -94,7 +88,8 @@ def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
-def _read(path: Path, expected: str = _EXPECTED) -> dict[str, Any]:
+def read_mapping(path: Path, expected: str = _EXPECTED) -> dict[str, Any]:
+    """Return the content of a YAML file that must be a mapping."""
     data = read_bytes(path, _LARGEST)
     if data.startswith(LFS):
         raise RunDirectoryError("the file is a pointer of Git LFS", key=str(path), expected="git lfs pull")
