@@ -42,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
     print(f"next: cd {place}")
     if made.run is None:
         print("      there is no policy: give one with --policy, or train")
-        print(f"      wheelleg train task={made.name}")
+        print(f"      wheelleg train task={made.path.name}")
     else:
         print("      wheelleg play latest")
         print("      wheelleg evaluate latest protocol=walk")
-        print(f"      wheelleg train task={made.name} init_from=imported_policy.pt init_from_what={made.what}")
+        print(f"      wheelleg train task={made.path.name} init_from=imported_policy.pt init_from_what={made.what}")
     return EXIT_OK

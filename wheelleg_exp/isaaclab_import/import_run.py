@@ -45,7 +45,6 @@ class Imported:
     """
 
     path: Path
-    name: str
     run: Path | None
     what: str
     report: ImportReport
@@ -88,7 +87,7 @@ def import_run(
         raise
     finally:
         projects.forget(path)
-    return Imported(path, path.name, run, what, report)
+    return Imported(path, run, what, report)
 
 
 def _write_project(
