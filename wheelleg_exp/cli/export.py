@@ -9,13 +9,20 @@ from wheelleg_exp.cli.arguments import add_json, add_root, chosen_checkpoint, pr
 from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_OK
 
+_NEXT = {
+    "bundle": "python {folder}/simulate.py   (numpy and mujoco)",
+    "isaaclab": "use params/env.yaml in Isaac Lab, or: wheelleg import {folder} --robot FILE -o PROJECT",
+    "leapp": "give policy.yaml to the ros2_control runtime of the robot",
+}
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
-    text = "bundle: runs without this program (default); leapp: for ros2_control runtimes, needs the package leapp"
-    parser.add_argument("--format", choices=("bundle", "leapp"), default="bundle", help=text)
+    text = "bundle: runs without this program (default); isaaclab: a run folder of Isaac Lab; "
+    text += "leapp: for ros2_control runtimes, needs the package leapp"
+    parser.add_argument("--format", choices=tuple(_NEXT), default="bundle", help=text)
     text = "the folder to create; by default exported/FORMAT of the run"
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=text)
     add_root(parser)
@@ -38,12 +45,12 @@ def run(args: argparse.Namespace) -> int:
         print_json({**found, "largest_difference": made.differences, "lacks": made.notes, "margins": margins})
         return EXIT_OK
     print(f"exported {shown(made.checkpoint)} to {shown(made.folder)}")
-    differences = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
-    print(f"largest difference of a step from the simulation: {differences}")
+    if made.differences:
+        differences = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
+        print(f"largest difference of a step from the simulation: {differences}")
     for margin in made.margins:
         print(f"largest survived {margin.name}: {margin.policy:.3g} {margin.unit}")
     for note in made.notes:
         print(f"it lacks {note}")
-    python = f"python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)"
-    print(f"next: {python if args.format == 'bundle' else 'give policy.yaml to the ros2_control runtime of the robot'}")
+    print(f"next: {_NEXT[args.format].format(folder=shown(made.folder))}")
     return EXIT_OK

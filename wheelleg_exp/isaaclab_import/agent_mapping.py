@@ -9,8 +9,8 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, NAME, RULE, ImportReport, Section
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights
 
-_RUNNER = ("num_steps_per_env", "max_iterations", "save_interval", "clip_actions")
-_PPO = (
+RUNNER = ("num_steps_per_env", "max_iterations", "save_interval", "clip_actions")
+PPO = (
     *("num_learning_epochs", "num_mini_batches", "clip_param", "gamma", "lam", "value_loss_coef", "entropy_coef"),
     *("learning_rate", "max_grad_norm", "use_clipped_value_loss", "schedule", "desired_kl"),
     *("normalize_advantage_per_mini_batch", "optimizer"),
@@ -33,14 +33,14 @@ def convert_agent(
     obs_groups = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
     agent: dict[str, Any] = {"algorithm": {}, "obs_groups": obs_groups}
     part = Section(tree or {}, "agent.yaml", report)
-    agent |= part.take_if_known(_RUNNER)
+    agent |= part.take_if_known(RUNNER)
     given = part.take("obs_groups", {})
     for role, names in (("actor", ("actor", "policy")), ("critic", ("critic",))):
         found = next((given[name] for name in names if given.get(name)), None)
         if found and set(found) <= set(groups):
             obs_groups[role] = list(found)
     algorithm = part.section("algorithm")
-    agent["algorithm"] |= algorithm.take_if_known(_PPO)
+    agent["algorithm"] |= algorithm.take_if_known(PPO)
     algorithm.take("class_name")
     algorithm.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
     algorithm.finish()

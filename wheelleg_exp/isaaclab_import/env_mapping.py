@@ -30,7 +30,7 @@ from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_
 
 Tree = Mapping[str, Any]
 # Isaac Lab's kinds of terms: the config section here, and the module of ``wheelleg_exp.mdp``.
-_KINDS = {
+KINDS = {
     "commands": "commands",
     "actions": "actions",
     "observations": "observations",
@@ -89,11 +89,11 @@ _ACTUATORS = {
     "ImplicitActuator", "IdealPDActuator", "DCMotor", "DelayedPDActuator", "RemotizedPDActuator", "ActuatorNetMLP",
     "ActuatorNetLSTM",
 }  # fmt: skip
-_NOISES = {"uniform_noise": "UniformNoise", "gaussian_noise": "GaussianNoise", "constant_noise": "ConstantNoise"}
-_MODIFIERS = {"scale": "Scale", "clip": "Clip", "bias": "Bias"}
-_PATTERNS = {"grid_pattern": "GridPattern", "lidar_pattern": "LidarPattern", "bpearl_pattern": "BpearlPattern"}
+NOISES = {"uniform_noise": "UniformNoise", "gaussian_noise": "GaussianNoise", "constant_noise": "ConstantNoise"}
+MODIFIERS = {"scale": "Scale", "clip": "Clip", "bias": "Bias"}
+PATTERNS = {"grid_pattern": "GridPattern", "lidar_pattern": "LidarPattern", "bpearl_pattern": "BpearlPattern"}
 # Isaac Lab's functions of terrain tiles: the class here, and settings that the function implies.
-_TILES: dict[str, tuple[str, dict[str, Any]]] = {
+TILES: dict[str, tuple[str, dict[str, Any]]] = {
     "flat_terrain": ("Flat", {}),
     "random_uniform_terrain": ("RandomUniform", {}),
     "pyramid_sloped_terrain": ("PyramidSlope", {}),
@@ -108,7 +108,7 @@ _TILES: dict[str, tuple[str, dict[str, Any]]] = {
     "box_terrain": ("Box", {}),
     "pit_terrain": ("Box", {"inverted": True}),
 }
-_TILE_NAMES = {
+TILE_NAMES = {
     "pit_depth_range": "box_height_range",
     "double_pit": "double_box",
     "flat_patch_sampling": "flat_patches",
@@ -172,7 +172,7 @@ class EnvMapping:
             sim.drop(names, reason, DROPPED if reason == _PHYSX else NOT_NEEDED)
         sim.finish()
         self._scene(root.section("scene"), material)
-        for kind in _KINDS:
+        for kind in KINDS:
             self.env[kind] = self._terms(kind, root.section(kind))
         for reason, names in _ROOT_DROPPED.items():
             root.drop(names, reason, NOT_NEEDED)
@@ -409,7 +409,7 @@ class EnvMapping:
                 made = self._tile(Section(tile, f"{tiles.key}.{name}", self._report))
                 node["sub_terrains"] |= {} if made is None else {name: made}
             if not node["sub_terrains"]:
-                raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(_TILES))
+                raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(TILES))
             self._report.add(part.key, NAME, "TerrainGenerator")
             generator.drop(("slope_threshold",), "tiles of boxes have vertical edges, other tiles have slopes")
             generator.drop(("border_height",), "the border ends at the level of the ground")
@@ -426,14 +426,14 @@ class EnvMapping:
 
     def _tile(self, part: Section) -> dict[str, Any] | None:
         function = _last(part.take("function"))
-        if function not in _TILES:
+        if function not in TILES:
             text = f"'{function}' is no tile here; the shares of the other tiles grow"
             self._report.add(part.key, DROPPED, text)
             return None
-        kind, implied = _TILES[function]
+        kind, implied = TILES[function]
         node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.terrain.{kind}", **implied}
         accepted = signature_parameters(resolve_target(node["_target_"], part.key))
-        for there, here in _TILE_NAMES.items():
+        for there, here in TILE_NAMES.items():
             value = part.take(there)
             if value is not None:
                 node[here] = value
@@ -472,11 +472,9 @@ class EnvMapping:
         yaw = part.take("attach_yaw_only")
         node["ray_alignment"] = part.take("ray_alignment", "yaw" if yaw else "base")
         pattern = part.section("pattern_cfg")
-        kind = _PATTERNS.get(_last(pattern.take("func")))
+        kind = PATTERNS.get(_last(pattern.take("func")))
         if kind is None:
-            raise ConfigError(
-                "this pattern of rays does not exist here", key=pattern.key, expected=", ".join(_PATTERNS)
-            )
+            raise ConfigError("this pattern of rays does not exist here", key=pattern.key, expected=", ".join(PATTERNS))
         node["pattern"] = {"_target_": f"wheelleg_exp.sim.sensors.{kind}"}
         node["pattern"] |= pattern.take_if_known(
             signature_parameters(resolve_target(node["pattern"]["_target_"], part.key))
@@ -556,7 +554,7 @@ class EnvMapping:
         params = part.left.get("params")
         target, name = self._target(kind, source, params if isinstance(params, Mapping) else ()), _last(source)
         if target is None:
-            reason = getattr(import_module(f"wheelleg_exp.mdp.{_KINDS[kind]}"), "ABSENT", {}).get(name)
+            reason = getattr(import_module(f"wheelleg_exp.mdp.{KINDS[kind]}"), "ABSENT", {}).get(name)
             text = f"{source} {shown(part.left, 160)}" if reason is None else f"{source}: {reason}"
             self._report.add(part.key, CODE if reason is None else DROPPED, text)
             return None
@@ -594,7 +592,7 @@ class EnvMapping:
         return node
 
     def _target(self, kind: str, source: str, params: Iterable[str]) -> str | None:
-        module = f"wheelleg_exp.mdp.{_KINDS[kind]}"
+        module = f"wheelleg_exp.mdp.{KINDS[kind]}"
         stock = _STOCK.match(source) and callable(getattr(import_module(module), _last(source), None))
         return f"{module}.{_last(source)}" if stock else self._user_target(source, params)
 
@@ -618,7 +616,7 @@ class EnvMapping:
                 rest = {
                     name: self._value(name, item) for name, item in value.items() if name not in ("func", "class_type")
                 }
-                kind = "NoiseModelWithAdditiveBias" if "bias_noise_cfg" in value else _NOISES.get(kind, kind)
+                kind = "NoiseModelWithAdditiveBias" if "bias_noise_cfg" in value else NOISES.get(kind, kind)
                 return {"_target_": f"wheelleg_exp.mdp.noise.{kind}", **rest}
             return {name: self._value(name, item) for name, item in value.items()}
         if key == "modifiers" and isinstance(value, list):
@@ -627,7 +625,7 @@ class EnvMapping:
                 kind = _last(item.get("func"))
                 settings = {name: setting for name, setting in item.items() if name not in ("func", "params")}
                 settings |= item.get("params") or {}
-                made.append({"_target_": f"wheelleg_exp.mdp.modifiers.{_MODIFIERS.get(kind, kind)}", **settings})
+                made.append({"_target_": f"wheelleg_exp.mdp.modifiers.{MODIFIERS.get(kind, kind)}", **settings})
             return made
         return value
 

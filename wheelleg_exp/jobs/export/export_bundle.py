@@ -48,6 +48,7 @@ from wheelleg_exp.jobs.export.bundle_specification import (
     specification,
 )
 from wheelleg_exp.jobs.export.c_header import c_header
+from wheelleg_exp.jobs.export.isaaclab_run import write_isaac_lab_run
 from wheelleg_exp.jobs.export.leapp_bundle import leapp_readings, write_leapp
 from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
@@ -131,7 +132,7 @@ def _comma_separated(values: Iterable[Any]) -> str:
     return ",".join("" if value is None else str(value) for value in values)
 
 
-BUNDLE, LEAPP = "bundle", "leapp"
+BUNDLE, LEAPP, ISAAC_LAB = "bundle", "leapp", "isaaclab"
 _COPIED_FILES = ("runner.py", "simulate.py", "chirps.py")
 _MOST_STEPS, _EXAMPLE_STEPS = 600, 120
 _SKIPPED_FILES = (REPORT, "asset.json")
@@ -200,6 +201,10 @@ def _fill(
     require_perceptron(agent[role], f"agent.{role}")
     groups = agent["obs_groups"][role]
     mjcf, state = saved_mjcf(run), checkpoints.load(checkpoint)
+    if kind == ISAAC_LAB:
+        env = ManagerBasedRLEnv({**params, "num_envs": 1}, mjcf, seed)
+        policy = load_policy(checkpoint, RslRlVecEnv(env, agent.get("clip_actions")), agent)
+        return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
     _require_unchanged(state)
     spec = specification(plain, agent, _ranges(plain, state))

@@ -1,0 +1,79 @@
+"""Export runs as run folders of Isaac Lab."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, write_run, write_terms
+from tests.isaaclab_import.test_env_mapping import converted, numbers
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env.realism import with_realism
+from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, IsaacLabEnv
+from wheelleg_exp.plain_data import tagged_yaml_value
+
+NAMES = yaml.safe_load(Path("docs/isaaclab_names.yaml").read_text())["names"]
+NOT_HERE = (
+    "intensity",
+    "scene.robot.spawn",
+    "sim.physx",
+    "sim.physics_material",
+    "rewards.own",
+    "viewer",
+    "dynamic_friction",
+)
+
+
+def test_each_number_of_an_isaac_lab_config_comes_back() -> None:
+    tree = tagged_yaml_value(ENV)
+    mapping, _, _ = converted(ENV, AGENT)
+    made = IsaacLabEnv({**mapping.env, "robot": {**mapping.robot, "asset": "robot.usd"}}, mapping.seed or 0)
+    assert made.notes == []
+    compared = 0
+    for path in numbers(tree):
+        there, here = tree, made.tree
+        for key in path:
+            there, here = there[key], here.get(key, {}) if isinstance(here, dict) else here[key]
+        if there != 0 and not any(name in ".".join(map(str, path)) for name in NOT_HERE):
+            assert here == there, path
+            compared += 1
+    assert compared > 40
+
+
+def test_terms_without_a_counterpart_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "terms", "--json"]) == 0
+    terms = [term["target"] for term in json.loads(capsys.readouterr().out) if term["group"] != "recorder"]
+    here = {target.rpartition(".")[2] for target in terms}
+    there = {name for section, names in NAMES.items() if section.startswith("mdp.") for name in names}
+    assert here - there - TASK_TERMS - RENAMED.keys() == OWN_TERMS
+    assert RENAMED.keys() < here - there
+    assert here - there > TASK_TERMS
+    env = compose(["task=terrain", "realism=full"]).config["env"]
+    notes = IsaacLabEnv(with_realism(env), 0).notes
+    for note in (
+        "rewards.travel_error: Isaac Lab has no travel_error_l2",
+        "observations.policy.base_ang_vel.noise: Isaac Lab has no SensorErrors",
+        "actions.leg_pos.delay: Isaac Lab's terms have no delay",
+        "scene.terrain.sub_terrains.rough: Isaac Lab has no UniformNoise",
+        "scene.terrain.origin_window: Isaac Lab's TerrainGenerator has no such setting",
+    ):
+        assert note in notes
+
+
+def test_an_exported_run_is_imported_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_run(tmp_path / "run")
+    write_terms(tmp_path / "lab")
+    monkeypatch.chdir(tmp_path)
+    words = ["--robot", str(ROBOT), "--terms", "lab"]
+    assert main(["import", "run", *words, "-o", "flip6"]) == 0
+    monkeypatch.chdir(tmp_path / "flip6")
+    assert main(["export", "latest", "--format", "isaaclab", "-o", str(tmp_path / "lab_run")]) == 0
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", "lab_run", "--robot", str(ROBOT), "--terms", "flip6", "-o", "flip7"]) == 0
+    first = Path("flip6/configs/task/flip6.yaml").read_text().replace("flip6", "flip7")
+    second = Path("flip7/configs/task/flip7.yaml").read_text()
+    assert {**yaml.safe_load(first)["env"], "num_envs": 16} == yaml.safe_load(second)["env"]
