@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 from pathlib import Path
 
 from wheelleg_exp.errors import EXIT_OK
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         for row in made.report.of(outcome):
             print(f"  {outcome}: {row.key}: {shown(row.text, _WIDEST)}")
     print(f"report: {place}/README.md")
-    print(f"next: cd {place}")
+    print(f"next: cd {shlex.quote(place)}")
     if made.run is None:
         print("      there is no policy: give one with --policy, or train")
         print(f"      wheelleg train task={made.path.name}")
