@@ -14,7 +14,7 @@ from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, wr
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.isaaclab_import.import_report import CODE
-from wheelleg_exp.isaaclab_import.import_run import import_run
+from wheelleg_exp.isaaclab_import.make_project import import_run
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.run.run_directory import RunDirectory
 

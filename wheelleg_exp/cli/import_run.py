@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 from pathlib import Path
 
 from wheelleg_exp.errors import EXIT_OK
@@ -29,17 +30,17 @@ def run(args: argparse.Namespace) -> int:
 
     with StopRequest() as stop:
         from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, shown
-        from wheelleg_exp.isaaclab_import.import_run import import_run
+        from wheelleg_exp.isaaclab_import.make_project import import_run
     stop.check()
-    options = {"policy": args.policy, "terms": args.terms, "names": args.names, "command": args.command}
-    made = import_run(args.source, args.robot, args.output, **options)
+    files = {"policy": args.policy, "terms": args.terms, "names": args.names}
+    made = import_run(args.source, args.robot, args.output, **files, command=args.command)
     place = os.path.relpath(made.path)
     print(f"created {place}: {made.report.counts()}")
     for outcome in (CODE, ASSUMED, DROPPED):
         for row in made.report.of(outcome):
             print(f"  {outcome}: {row.key}: {shown(row.text, _WIDEST)}")
     print(f"report: {place}/README.md")
-    print(f"next: cd {place}")
+    print(f"next: cd {shlex.quote(place)}")
     if made.run is None:
         print("      there is no policy: give one with --policy, or train")
         print(f"      wheelleg train task={made.path.name}")

@@ -19,6 +19,7 @@ _NOT_LEARNING = (
     *("seed", "device", "experiment_name", "run_name", "logger", "neptune_project", "wandb_project", "resume"),
     *("load_run", "load_checkpoint", "class_name", "upload_model", "torch_compile_mode", "check_for_nan"),
 )
+_MODEL_SKIPPED = ("class_name", "stochastic", "init_noise_std", "noise_std_type", "distribution_cfg")
 _LIBRARIES = ("agent", "models", "trainer", "params", "seed")  # skrl, rl_games, stable-baselines3
 
 
@@ -29,72 +30,84 @@ def convert_agent(
 
     ``groups`` are the observation groups of the environment. Where settings and ``weights`` differ, the weights win.
     """
-    top = "policy" if "policy" in groups else next(iter(groups))
-    obs_groups = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
-    agent: dict[str, Any] = {"algorithm": {}, "obs_groups": obs_groups}
     part = Section(tree or {}, "agent.yaml", report)
+    agent: dict[str, Any] = {"algorithm": {}, "obs_groups": _obs_groups(part.take("obs_groups", {}), groups)}
     agent |= part.take_if_known(RUNNER)
-    given = part.take("obs_groups", {})
-    for role, names in (("actor", ("actor", "policy")), ("critic", ("critic",))):
-        found = next((given[name] for name in names if given.get(name)), None)
-        if found and set(found) <= set(groups):
-            obs_groups[role] = list(found)
-    algorithm = part.section("algorithm")
-    agent["algorithm"] |= algorithm.take_if_known(PPO)
-    algorithm.take("class_name")
-    algorithm.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
-    algorithm.finish()
+    agent["algorithm"] = _algorithm(part.section("algorithm"))
     policy = part.section("policy")
-    normalized = bool(part.take("empirical_normalization"))
-    if policy.take("state_dependent_std"):
-        key, expected = "agent.yaml: policy.state_dependent_std", "a standard deviation that is the same in all states"
-        raise ConfigError("the deviation of the actions depends on the state", key=key, expected=expected)
-    std, std_type = policy.take("init_noise_std", 1.0), policy.take("noise_std_type", "scalar")
-    if weights is not None and weights.std is not None:
-        std_type = "log" if weights.log_std else "scalar"
-    default = policy.take("activation", "elu")
-    for role in ("actor", "critic"):
-        own = part.section(role)  # rsl_rl since 4.0
-        hidden = policy.take(f"{role}_hidden_dims") or own.take("hidden_dims") or [256, 256, 256]
-        flag = own.take("obs_normalization", policy.take(f"{role}_obs_normalization", normalized))
-        network = None if weights is None else getattr(weights, role)
-        if network is not None:
-            if tree is not None and network.hidden != list(hidden):
-                text = f"{network.hidden}, as in the networks, not {list(hidden)}"
-                report.add(f"agent.yaml.policy.{role}_hidden_dims", ASSUMED, text)
-            hidden, flag = network.hidden, network.mean is not None
-        agent[role] = {
-            "class_name": "MLPModel",
-            "hidden_dims": list(hidden),
-            "activation": own.take("activation", default),
-        }
-        activation = None if weights is None or role == "critic" else weights.activation
-        if activation not in (None, agent[role]["activation"]):
-            if tree is not None:
-                report.add(f"agent.yaml.{role}.activation", ASSUMED, f"{activation}, as in the networks")
-            default = agent[role]["activation"] = activation
-        agent[role]["obs_normalization"] = bool(flag)
-        given_std = own.take("distribution_cfg", {})
-        if role == "actor":
-            std, std_type = given_std.get("init_std", std), given_std.get("std_type", std_type)
-        own.skip("class_name", "stochastic", "init_noise_std", "noise_std_type")
-        own.finish()
-    agent["actor"]["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": float(std)}
-    agent["actor"]["distribution_cfg"] |= {"std_type": std_type} if std_type != "scalar" else {}
-    if tree is None and weights is not None and weights.activation is None:
-        report.add("agent.yaml.policy.activation", ASSUMED, f"{default}: the policy file does not name it")
-    if tree is None:
-        report.add("agent.yaml", ASSUMED, "there is none: the stock settings of PPO, with the networks of the policy")
-    else:
+    actor, critic = part.section("actor"), part.section("critic")  # rsl_rl since 4.0
+    normalized = part.take("empirical_normalization", False)
+    activation = policy.take("activation", "elu")
+    of_networks = None if weights is None else weights.activation
+    agent["actor"] = _model("actor", actor, policy, activation, normalized)
+    agent["actor"]["distribution_cfg"] = _distribution(policy, actor, weights)
+    agent["critic"] = _model("critic", critic, policy, of_networks or activation, normalized)
+    if weights is not None:
+        _adopt(agent, weights, report if tree is not None else ImportReport())
+    if tree is not None:
         report.add("agent.yaml", NAME, "rsl_rl's PPO")
         report.add("agent.yaml.policy", RULE, "became agent.actor and agent.critic")
-    policy.skip("class_name")
-    policy.finish()
-    part.skip(*_NOT_LEARNING)
-    part.finish()
+    else:
+        if weights is not None and of_networks is None:
+            report.add("agent.yaml.policy.activation", ASSUMED, f"{activation}: the policy file does not name it")
+        report.add("agent.yaml", ASSUMED, "there is none: the stock settings of PPO, with the networks of the policy")
+    actor.finish(skip=_MODEL_SKIPPED)
+    critic.finish(skip=_MODEL_SKIPPED)
+    policy.finish(skip=["class_name"])
+    part.finish(skip=_NOT_LEARNING)
     return agent
 
 
 def is_runner(tree: Mapping[str, Any]) -> bool:
     """Return whether an ``agent.yaml`` has the settings of rsl_rl, not of another library."""
     return "num_steps_per_env" in tree or not any(name in tree for name in _LIBRARIES)
+
+
+def _obs_groups(given: Mapping[str, Any], groups: Sequence[str]) -> dict[str, list[str]]:
+    """Return the observation groups of the networks: those of the runner if the environment has them."""
+    top = "policy" if "policy" in groups else groups[0]
+    chosen = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
+    runner = {"actor": given.get("actor") or given.get("policy"), "critic": given.get("critic")}
+    return chosen | {role: list(names) for role, names in runner.items() if names and set(names) <= set(groups)}
+
+
+def _algorithm(part: Section) -> dict[str, Any]:
+    settings = part.take_if_known(PPO)
+    part.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
+    part.finish(skip=["class_name"])
+    return settings
+
+
+def _model(role: str, own: Section, policy: Section, activation: str, normalized: bool) -> dict[str, Any]:
+    """Return a network's settings, from its own section or from the section ``policy`` of older versions of rsl_rl."""
+    hidden = policy.take(f"{role}_hidden_dims") or own.take("hidden_dims") or [256, 256, 256]
+    flag = own.take("obs_normalization", policy.take(f"{role}_obs_normalization", normalized))
+    model = {"class_name": "MLPModel", "hidden_dims": list(hidden), "activation": own.take("activation", activation)}
+    return model | {"obs_normalization": bool(flag)}
+
+
+def _distribution(policy: Section, actor: Section, weights: PolicyWeights | None) -> dict[str, Any]:
+    """Return the settings of the distribution of the actions."""
+    if policy.take("state_dependent_std"):
+        key, expected = "agent.yaml: policy.state_dependent_std", "a standard deviation that is the same in all states"
+        raise ConfigError("the deviation of the actions depends on the state", key=key, expected=expected)
+    given = {"init_std": policy.take("init_noise_std", 1.0), "std_type": policy.take("noise_std_type", "scalar")}
+    if weights is not None and weights.std is not None:
+        given["std_type"] = "log" if weights.log_std else "scalar"
+    given |= actor.take("distribution_cfg", {})
+    made = {"class_name": "GaussianDistribution", "init_std": float(given["init_std"])}
+    return made if given["std_type"] == "scalar" else made | {"std_type": given["std_type"]}
+
+
+def _adopt(agent: dict[str, Any], weights: PolicyWeights, report: ImportReport) -> None:
+    """Replace the settings of the networks by those of the policy file, and report the differences."""
+    for role, network in (("actor", weights.actor), ("critic", weights.critic)):
+        model = agent[role]
+        if network is not None:
+            if network.hidden != model["hidden_dims"]:
+                text = f"{network.hidden}, as in the networks, not {model['hidden_dims']}"
+                report.add(f"agent.yaml.policy.{role}_hidden_dims", ASSUMED, text)
+            model["hidden_dims"], model["obs_normalization"] = network.hidden, network.mean is not None
+        if role == "actor" and weights.activation not in (None, model["activation"]):
+            report.add("agent.yaml.actor.activation", ASSUMED, f"{weights.activation}, as in the networks")
+            model["activation"] = weights.activation

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 
@@ -91,25 +91,32 @@ class AuthorTerms:
             waiting += _names(found[name], annotations=False) | _configs(found[name])
 
     def _text(self, file: Path) -> str:
-        tree, needed = self._trees[file], set(self._needed[file])
-        kept = [part for part in tree.body if needed & set(_defined(part))]
+        kept = self._kept(file)
         used, called = (set().union(*(_names(part, annotations=flag) for part in kept)) for flag in (True, False))
         called |= set().union(*map(_configs, kept))
-        imports = [text for item in _imports(tree) if (text := self._import(item, used, called, file))]
+        imports = [text for item in self._imports(file) if (text := self._import(item, used, called, file))]
         source = "\n\n\n".join(ast.unparse(part) for part in kept)
-        head = (
-            f'"""Terms copied from ``{file.name}`` by ``wheelleg import``."""\n\nfrom __future__ import annotations\n'
-        )
-        return "\n".join([head, *imports, "", "", source, ""])
+        title = f'"""Terms copied from ``{file.name}`` by ``wheelleg import``."""'
+        return "\n".join([title, "", "from __future__ import annotations", "", *imports, "", "", source, ""])
+
+    def _kept(self, file: Path) -> list[ast.stmt]:
+        """Return the needed definitions of a file."""
+        return [part for part in self._trees[file].body if set(self._needed[file]) & set(_defined(part))]
+
+    def _imports(self, file: Path) -> list[ast.Import | ast.ImportFrom]:
+        return [part for part in ast.walk(self._trees[file]) if isinstance(part, (ast.Import, ast.ImportFrom))]
+
+    def _other(self, file: Path, name: str) -> Path | None:
+        """Return another file than ``file`` that defines a name."""
+        return next((other for other in self._files if other != file and name in self._definitions(other)), None)
 
     def _namespace(self, alias: str, file: Path) -> list[str]:
         """Return lines that replace an imported package of the author by a namespace of the used definitions."""
-        kept = [part for part in self._trees[file].body if set(self._needed[file]) & set(_defined(part))]
-        parts = [part for item in kept for part in ast.walk(item) if isinstance(part, ast.Attribute)]
+        parts = [part for item in self._kept(file) for part in ast.walk(item) if isinstance(part, ast.Attribute)]
         used = sorted({part.attr for part in parts if isinstance(part.value, ast.Name) and part.value.id == alias})
         lines, fields = ["from types import SimpleNamespace"], []
         for name in used:
-            own = next((f for f in self._files if f != file and name in self._definitions(f)), None)
+            own = self._other(file, name)
             if own is not None:
                 self._need(own, name)
             elif not _has("wheelleg_exp.isaaclab.envs.mdp", name):
@@ -130,13 +137,14 @@ class AuthorTerms:
         if isinstance(part, ast.Import):
             lines = []
             for item in names:
-                module, alias = item.name, item.asname
-                line = f"import {module}" + (f" as {alias}" if alias else "")
-                lines += [line] if alias is None or _exists(module) else self._namespace(alias, file) or [line]
+                replaced: list[str] = []
+                if item.asname is not None and not _exists(item.name):
+                    replaced = self._namespace(item.asname, file)
+                lines += replaced or [ast.unparse(ast.Import([item]))]
             return "\n".join(lines)
         module, lines = part.module or "", []
         for item in names:
-            own = next((f for f in self._files if f != file and item.name in self._definitions(f)), None)
+            own = self._other(file, item.name)
             alias = f" as {item.asname}" if item.asname else ""
             called_here = (item.asname or item.name) in called
             if own is not None and called_here and (part.level or not _has(module, item.name)):
@@ -149,16 +157,14 @@ class AuthorTerms:
         return "\n".join(lines)
 
 
-def _imports(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
-    for part in ast.walk(tree):
-        if isinstance(part, (ast.Import, ast.ImportFrom)):
-            yield part
-
-
 def _defined(part: ast.stmt) -> list[str]:
     if isinstance(part, (ast.FunctionDef, ast.ClassDef)):
         return [part.name]
-    targets = part.targets if isinstance(part, ast.Assign) else [part.target] if isinstance(part, ast.AnnAssign) else []
+    targets: list[ast.expr] = []
+    if isinstance(part, ast.Assign):
+        targets = part.targets
+    elif isinstance(part, ast.AnnAssign):
+        targets = [part.target]
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 

@@ -52,18 +52,12 @@ def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report
 
 def _tree(joints: Sequence[str], pose: Sequence[float], step: Sequence[float], actuators: Tree) -> Tree:
     """Return the parts of ``env.yaml`` that both kinds of folders share; ``step`` is (physics step, decimation)."""
-    events: Tree = {"reset_base": {"func": f"{_MDP}.events:reset_root_state_uniform", "mode": "reset"}}
-    events["reset_base"]["params"] = {"pose_range": {}, "velocity_range": {}}
-    joint_reset = {"position_range": [1.0, 1.0], "velocity_range": [0.0, 0.0]}
-    events["reset_robot_joints"] = {
-        "func": f"{_MDP}.events:reset_joints_by_scale",
-        "mode": "reset",
-        "params": joint_reset,
-    }
-    state = {"joint_pos": dict(zip(joints, pose, strict=True)), "joint_vel": {".*": 0.0}}
-    ends = {"time_out": {"func": f"{_MDP}.terminations:time_out", "time_out": True}}
-    ends["bad_orientation"] = {"func": f"{_MDP}.terminations:bad_orientation", "params": {"limit_angle": 1.0}}
+    base_reset = {"func": f"{_MDP}.events:reset_root_state_uniform", "mode": "reset"}
+    joint_reset = {"func": f"{_MDP}.events:reset_joints_by_scale", "mode": "reset"}
+    scales = {"position_range": [1.0, 1.0], "velocity_range": [0.0, 0.0]}
+    tilt = {"func": f"{_MDP}.terminations:bad_orientation", "params": {"limit_angle": 1.0}}
     material = {"static_friction": 1.0, "dynamic_friction": 1.0}
+    state = {"joint_pos": _by_joint(joints, pose), "joint_vel": {".*": 0.0}}
     robot: Tree = {"class_type": "isaaclab.assets:Articulation", "joint_order": list(joints), "init_state": state}
     return {
         "decimation": step[1],
@@ -74,11 +68,21 @@ def _tree(joints: Sequence[str], pose: Sequence[float], step: Sequence[float], a
             "robot": {**robot, "actuators": actuators},
             "terrain": {"class_type": "isaaclab.terrains:TerrainImporter", "physics_material": material},
         },
-        "events": events,
-        "terminations": ends,
+        "events": {
+            "reset_base": {**base_reset, "params": {"pose_range": {}, "velocity_range": {}}},
+            "reset_robot_joints": {**joint_reset, "params": scales},
+        },
+        "terminations": {
+            "time_out": {"func": f"{_MDP}.terminations:time_out", "time_out": True},
+            "bad_orientation": tilt,
+        },
         "rewards": {},
         "curriculum": {},
     }
+
+
+def _by_joint(joints: Sequence[str], values: Sequence[Any]) -> Tree:
+    return dict(zip(joints, values, strict=True))
 
 
 def _command(ranges: Mapping[str, Any]) -> Tree:
@@ -87,18 +91,19 @@ def _command(ranges: Mapping[str, Any]) -> Tree:
     return {"base_velocity": {**node, "resampling_time_range": [10.0, 10.0], "heading_command": False}}
 
 
-def _observation(function: str, **settings: Any) -> Tree:
-    params = {"command_name": "base_velocity"} if function == "generated_commands" else {}
-    return {"func": f"{_MDP}.observations:{function}", "params": params, **settings}
+def _action(kind: str, joints: Sequence[str], **settings: Any) -> Tree:
+    node = {"class_type": f"{_MDP}.actions.joint_actions:{kind}", "joint_names": joints, "preserve_order": True}
+    return node | settings
 
 
-def _actuators(joints: Sequence[str], gains: Sequence[Sequence[float]], limits: Sequence[float] | None) -> Tree:
+def _observation(function: str, params: Mapping[str, Any] | None, **settings: Any) -> Tree:
+    return {"func": f"{_MDP}.observations:{function}", "params": params or {}, **settings}
+
+
+def _actuators(joints: Sequence[str], **gains: Sequence[float]) -> Tree:
+    """Return one actuator for all joints, with gains and limits in the order of ``joints``."""
     node: Tree = {"class_type": "isaaclab.actuators:ImplicitActuator", "joint_names_expr": list(joints)}
-    for name, values in zip(("stiffness", "damping"), gains, strict=True):
-        node[name] = dict(zip(joints, map(float, values), strict=True))
-    if limits is not None:
-        node["effort_limit"] = dict(zip(joints, map(float, limits), strict=True))
-    return {"all": node}
+    return {"all": node | {name: _by_joint(joints, [float(v) for v in values]) for name, values in gains.items()}}
 
 
 def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
@@ -112,8 +117,8 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     report.add("joint_ids_map", ASSUMED, text)
     step = (_STEP, round(config["step_dt"] / _STEP))
     report.add("sim.dt", ASSUMED, f"{_STEP} s, Isaac Lab's step for locomotion; {step[1]} steps per control step")
-    own = [[config[name][motor] for motor in order] for name in ("stiffness", "damping")]
-    tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, own, None))
+    gains = {name: [config[name][motor] for motor in order] for name in ("stiffness", "damping")}
+    tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, **gains))
     velocity = (config.get("commands") or {}).get("base_velocity")
     if velocity is None:
         raise RunDirectoryError("the policy has no command 'base_velocity'", key="commands", where=where)
@@ -121,97 +126,105 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     (kind, action), *more = config["actions"].items()
     if more:
         raise RunDirectoryError("the policy has several actions", key="actions", where=where, expected="one action")
-    spread = {name: dict(zip(joints, action[name], strict=True)) for name in ("scale", "offset") if action.get(name)}
-    node = {"class_type": f"{_MDP}.actions.joint_actions:{kind}", "joint_names": joints, "preserve_order": True}
-    node |= {"clip": dict(zip(joints, action["clip"], strict=True))} if action.get("clip") else {}
-    tree["actions"] = {"joint_pos": {**node, **spread, "use_default_offset": False}}
+    settings = {name: _by_joint(joints, action[name]) for name in ("clip", "scale", "offset") if action.get(name)}
+    tree["actions"] = {"joint_pos": _action(kind, joints, **settings, use_default_offset=False)}
     terms = {}
     for name, term in config["observations"].items():
         settings = {key: term[key] for key in ("scale", "clip", "history_length") if term.get(key) is not None}
         function = "generated_commands" if name == "velocity_commands" else name
-        terms[name] = _observation(function, **settings) | {"params": term.get("params") or {}}
+        terms[name] = _observation(function, term.get("params"), **settings)
     tree["observations"] = {"policy": {"concatenate_terms": True, "enable_corruption": False, **terms}}
     return tree
 
 
 def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
-    base = next(
-        (place / "base.yaml" for place in (folder.path, folder.path.parent) if (place / "base.yaml").is_file()), None
-    )
-    config: Tree = {}
-    for content in ([] if base is None else [read_mapping(base)]) + [folder.config]:
-        inner = next(iter(content.values()))
-        config |= inner if isinstance(inner, Mapping) else content
-    where = str(folder.config_file)
-    listed = config.get("joint_names") or config.get("joint_controller_names")
-    if listed is None:
-        raise RunDirectoryError(
-            "the joints are not named", key="joint_names", where=where, expected="rl_sar's base.yaml beside it"
-        )
-    unknown = [name for name in listed if name not in names]
-    if unknown:
-        raise ConfigError(
-            f"the robot file has no joint '{unknown[0]}'", key="joint_names", where=where, expected=", ".join(names)
-        )
-    joints = [listed[index] for index in config.get("joint_mapping") or range(len(listed))]
-    wheels = [joints[index] for index in config.get("wheel_indices") or []]
-    legs = [joint for joint in joints if joint not in wheels]
-    if joints != legs + wheels:
-        raise RunDirectoryError(
-            "wheels and legs alternate in the actions", key="wheel_indices", where=where, expected="legs first"
-        )
-    limits = config.get("torque_limits")
-    gains = (config["rl_kp"], config["rl_kd"])
-    tree = _tree(
-        joints, config["default_dof_pos"], (config["dt"], config["decimation"]), _actuators(joints, gains, limits)
-    )
+    config, where = _rl_sar_config(folder), str(folder.config_file)
+    joints, wheels = _rl_sar_joints(config, names, where)
+    gains = {"stiffness": config["rl_kp"], "damping": config["rl_kd"]}
+    if config.get("torque_limits") is not None:
+        gains["effort_limit"] = config["torque_limits"]
+    step = (config["dt"], config["decimation"])
+    tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, **gains))
     tree["commands"] = _command(_FASTEST)
     report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
-    scale, low, high = (
-        dict(zip(joints, config[name], strict=True))
-        for name in ("action_scale", "clip_actions_lower", "clip_actions_upper")
-    )
+    tree |= _rl_sar_actions(config, joints, wheels, report)
+    tree["observations"] = {"policy": _rl_sar_observations(config, joints, wheels, where, report)}
+    return tree
+
+
+def _rl_sar_config(folder: RunFolder) -> Tree:
+    """Return the content of ``config.yaml``, and of ``base.yaml`` in the same folder or in the folder above."""
+    bases = [place / "base.yaml" for place in (folder.path, folder.path.parent)]
+    contents = [read_mapping(base) for base in bases if base.is_file()][:1]
+    config: Tree = {}
+    for content in (*contents, folder.config):
+        inner = next(iter(content.values()))
+        config |= inner if isinstance(inner, Mapping) else content
+    return config
+
+
+def _rl_sar_joints(config: Tree, names: Sequence[str], where: str) -> tuple[list[str], list[str]]:
+    """Return the policy's joints in their order, and those of them that are wheels."""
+    listed = config.get("joint_names") or config.get("joint_controller_names")
+    if listed is None:
+        message, expected = "the joints are not named", "rl_sar's base.yaml beside it"
+        raise RunDirectoryError(message, key="joint_names", where=where, expected=expected)
+    unknown = [name for name in listed if name not in names]
+    if unknown:
+        message = f"the robot file has no joint '{unknown[0]}'"
+        raise ConfigError(message, key="joint_names", where=where, expected=", ".join(names))
+    joints = [listed[index] for index in config.get("joint_mapping") or range(len(listed))]
+    wheels = [joints[index] for index in config.get("wheel_indices") or []]
+    if joints != [joint for joint in joints if joint not in wheels] + wheels:
+        message = "wheels and legs alternate in the actions"
+        raise RunDirectoryError(message, key="wheel_indices", where=where, expected="legs first")
+    return joints, wheels
+
+
+def _rl_sar_actions(config: Tree, joints: list[str], wheels: list[str], report: ImportReport) -> Tree:
+    """Return the actions, and ``clip_actions`` if all actions have the same bound."""
+    scale = _by_joint(joints, config["action_scale"])
+    low, high = (_by_joint(joints, config[f"clip_actions_{end}"]) for end in ("lower", "upper"))
+    legs = [joint for joint in joints if joint not in wheels]
+    tree: Tree = {"actions": {}}
+    if legs:
+        tree["actions"]["joint_pos"] = _action("JointPositionAction", legs, scale={name: scale[name] for name in legs})
+    if wheels:
+        action = _action("JointVelocityAction", wheels, scale={name: scale[name] for name in wheels})
+        tree["actions"]["joint_vel"] = action
     bounds = {abs(bound) for bound in (*low.values(), *high.values())}
-    tree["actions"] = {}
-    for name, kind, chosen in (("joint_pos", "Position", legs), ("joint_vel", "Velocity", wheels)):
-        if chosen:
-            node: Tree = {"class_type": f"{_MDP}.actions.joint_actions:Joint{kind}Action", "joint_names": chosen}
-            node |= {"preserve_order": True, "scale": {joint: scale[joint] for joint in chosen}}
-            if len(bounds) > 1:
-                centre = dict.fromkeys(wheels, 0.0) | dict(zip(joints, config["default_dof_pos"], strict=True))
-                edges = {joint: [end[joint] * scale[joint] + centre[joint] for end in (low, high)] for joint in chosen}
-                node["clip"] = edges
-            tree["actions"][name] = node
-    if len(bounds) > 1:
-        report.add("clip_actions", RULE, "bounds of the targets; the observation of the last action has no bounds")
-    else:
+    if len(bounds) == 1:
         tree["clip_actions"] = bounds.pop()
         report.add("clip_actions", RULE, f"agent.clip_actions={tree['clip_actions']}")
-    terms = {}
-    for name in config["observations"]:
-        if name not in _OBSERVATIONS:
-            raise RunDirectoryError(
-                f"the observation '{name}' does not exist here",
-                key="observations",
-                where=where,
-                expected=", ".join(_OBSERVATIONS),
-            )
-        function, key = _OBSERVATIONS[name]
-        factor: Any = config[key] if key is not None else None
-        if name == "dof_pos" and wheels:
-            factor = [float(factor) * (joint not in wheels) for joint in joints]
-            report.add("observations.dof_pos", RULE, "the angles of wheels are 0: their scale is 0")
-        terms[name] = _observation(function, **({} if factor is None else {"scale": factor}))
-    report.add("clip_obs", DROPPED, f"{config.get('clip_obs')}: observations are not clipped here")
+        return tree
+    report.add("clip_actions", RULE, "bounds of the targets; the observation of the last action has no bounds")
+    centre = _by_joint(joints, config["default_dof_pos"])
+    for node in tree["actions"].values():
+        chosen = node["joint_names"]
+        node["clip"] = {name: [end[name] * scale[name] + centre[name] for end in (low, high)] for name in chosen}
+    return tree
+
+
+def _rl_sar_observations(config: Tree, joints: list[str], wheels: list[str], where: str, report: ImportReport) -> Tree:
     group: Tree = {"concatenate_terms": True, "enable_corruption": False}
     history = config.get("observations_history")
     if history:
         if history != list(range(len(history)))[::-1]:
-            expected = "successive steps, the oldest first"
-            message = "this order of the history does not exist here"
+            message, expected = "this order of the history does not exist here", "successive steps, the oldest first"
             raise RunDirectoryError(message, key="observations_history", where=where, expected=expected)
         group["history_length"] = len(history)
         if config.get("observations_history_priority") == "time":
             group["history_order"] = "time"
-    tree["observations"] = {"policy": {**group, **terms}}
-    return tree
+    for name in config["observations"]:
+        if name not in _OBSERVATIONS:
+            message, expected = f"the observation '{name}' does not exist here", ", ".join(_OBSERVATIONS)
+            raise RunDirectoryError(message, key="observations", where=where, expected=expected)
+        function, key = _OBSERVATIONS[name]
+        settings = {} if key is None else {"scale": config[key]}
+        if name == "dof_pos" and wheels:
+            settings["scale"] = [float(settings["scale"]) * (joint not in wheels) for joint in joints]
+            report.add("observations.dof_pos", RULE, "the angles of wheels are 0: their scale is 0")
+        params = {"command_name": "base_velocity"} if name == "commands" else {}
+        group[name] = _observation(function, params, **settings)
+    report.add("clip_obs", DROPPED, f"{config.get('clip_obs')}: observations are not clipped here")
+    return group

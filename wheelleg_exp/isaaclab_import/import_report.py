@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -58,11 +58,10 @@ class ImportReport:
         """Return the report as Markdown: one table per outcome, and first what the user should check."""
         parts = [f"{self.counts()}.\n"]
         for outcome in (CODE, ASSUMED, DROPPED, RULE, NAME, NOT_NEEDED):
-            meaning = _MEANINGS[outcome]
             rows = self.of(outcome)
             if rows:
                 lines = [f"| `{row.key}` | {' '.join(row.text.split()).replace('|', '&#124;')} |" for row in rows]
-                head = f"## {outcome[0].upper()}{outcome[1:]}: {meaning}\n\n| key | here |\n|---|---|"
+                head = f"## {outcome.capitalize()}: {_MEANINGS[outcome]}\n\n| key | here |\n|---|---|"
                 parts.append("\n".join([head, *lines, ""]))
         return "\n".join(parts)
 
@@ -83,35 +82,37 @@ class Section:
 
     def section(self, name: str) -> Section:
         """Return and remove the mapping of a key."""
-        return Section(self.take(name), f"{self.key}.{name}" if self.key else name, self._report)
+        return Section(self.take(name), self._key_of(name), self._report)
 
-    def take_if_known(self, names: Any) -> dict[str, Any]:
+    def sections(self) -> Iterator[tuple[str, Section]]:
+        """Yield and remove all remaining keys that are not null, with their mappings."""
+        for name, value in self.items():
+            yield name, Section(value, self._key_of(name), self._report)
+
+    def take_if_known(self, names: Iterable[str]) -> dict[str, Any]:
         """Return and remove the keys in ``names`` that are present and not null."""
         return {name: value for name in names if (value := self.take(name)) is not None}
 
     def items(self) -> Iterator[tuple[str, Any]]:
         """Yield and remove all remaining keys that are not null, with their values."""
-        while self.left:
-            name = next(iter(self.left))
+        for name in list(self.left):
             value = self.take(name)
             if value is not None:
                 yield name, value
 
-    def drop(self, names: Any, reason: str, outcome: str = DROPPED) -> None:
+    def drop(self, names: Iterable[str], reason: str, outcome: str = DROPPED) -> None:
         """Report the given keys as dropped, except empty ones."""
         for name in names:
             value = self.take(name)
             if value not in (None, {}, [], False, ""):
-                self._report.add(f"{self.key}.{name}" if self.key else name, outcome, f"{shown(value)}: {reason}")
+                self._report.add(self._key_of(name), outcome, f"{shown(value)}: {reason}")
 
-    def skip(self, *names: str) -> None:
-        """Remove the given keys without a report: they only repeat what other keys say."""
-        for name in names:
-            self.take(name)
+    def finish(self, reason: str = "nothing here corresponds to it", skip: Collection[str] = ()) -> None:
+        """Report all remaining keys as dropped, except those in ``skip``, which only repeat what other keys say."""
+        self.drop([name for name in self.left if name not in skip], reason)
 
-    def finish(self, reason: str = "nothing here corresponds to it") -> None:
-        """Report all remaining keys as dropped."""
-        self.drop(list(self.left), reason)
+    def _key_of(self, name: str) -> str:
+        return f"{self.key}.{name}" if self.key else name
 
 
 def shown(value: Any, width: int = 60) -> str:

@@ -91,13 +91,10 @@ def read_policy(path: Path) -> PolicyWeights:
     except OSError as error:
         raise RunDirectoryError(f"the policy cannot be read: {error.strerror}", key=str(path)) from error
     if start == LFS:
-        raise RunDirectoryError(
-            "the file is a pointer of Git LFS, not the policy", key=str(path), expected="git lfs pull"
-        )
+        message = "the file is a pointer of Git LFS, not the policy"
+        raise RunDirectoryError(message, key=str(path), expected="git lfs pull")
     try:
-        if path.suffix == ".onnx":
-            return _from_onnx(path)
-        return _tensors(path)
+        return _from_onnx(path) if path.suffix == ".onnx" else _tensors(path)
     except RunDirectoryError:
         raise
     except Exception as error:  # Damaged files raise many types of errors.
@@ -132,8 +129,9 @@ def _tensors(path: Path) -> PolicyWeights:
         for network, key in (*keys, (found.critic, "critic_obs_norm_state_dict")):
             if network is not None and isinstance(state.get(key), Mapping):  # rsl_rl before 3.0
                 _normalize(network, state[key], "")
-    found.std = std if std is not None else log_std.exp() if log_std is not None else None
-    found.log_std = std is None and log_std is not None
+    found.std, found.log_std = std, std is None and log_std is not None
+    if found.log_std:
+        found.std = log_std.exp()
     found.iteration = int(state.get("iter", 0))
     found.optimizer = state.get("optimizer_state_dict")
     return found
@@ -201,9 +199,8 @@ def _one_activation(found: list[tuple[str, Mapping[str, Any]]], path: Path) -> s
         usual = settings.get("alpha", 1.0) == 1.0 and settings.get("negative_slope", 0.01) == 0.01
         if kind not in _ACTIVATIONS or not usual or len(kinds) > 1:
             message = f"the policy has the activations {', '.join(sorted(kinds))}"
-            expected = (
-                f"one of {', '.join(sorted(set(_ACTIVATIONS.values())))} between all layers, with its usual settings"
-            )
+            known = ", ".join(sorted(set(_ACTIVATIONS.values())))
+            expected = f"one of {known} between all layers, with its usual settings"
             raise RunDirectoryError(message, key=str(path), expected=expected)
     return _ACTIVATIONS[found[0][0]] if found else None
 

@@ -16,7 +16,8 @@ from rsl_rl.models import MLPModel
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.files import write_bytes, write_text
 from wheelleg_exp.isaaclab_import.agent_mapping import PPO, RUNNER
-from wheelleg_exp.isaaclab_import.env_mapping import KINDS, MODIFIERS, NOISES, PATTERNS, TILE_NAMES, TILES
+from wheelleg_exp.isaaclab_import.env_mapping import PATTERNS, TILE_NAMES, TILES
+from wheelleg_exp.isaaclab_import.term_mapping import KINDS, MODIFIERS, NOISES
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.rl import export as formats

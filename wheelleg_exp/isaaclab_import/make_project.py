@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,16 +71,23 @@ def import_run(
     require_robot_file(robot)
     folder, report, display = read_folder(source, policy), ImportReport(), display or Display()
     weights = read_policy(folder.policy) if folder.policy is not None else None
-    author = AuthorTerms(terms, path.name)
+    author, table = AuthorTerms(terms, path.name), {} if names is None else read_names(names)
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / path.name
         draft.mkdir()
-        task, lost = _write_project(draft, folder, robot, weights, author, report, names)
+        copied = copy_robot(robot, draft / "assets" / path.name)
+        mapping, agent = _convert(folder, copied, weights, author, report, table)
+        for network in mapping.networks:
+            _copy_network(network, [folder.path, folder.config_file.parent, robot.parent], copied.parent)
+        if weights is not None:
+            _require_observed(mapping.lost, agent, report)
+        task = _write_project(draft, copied.name, mapping, agent, author)
+        _remove_failing_terms(draft, task, report)
         draft.rename(path)
     try:
         run, what = None, ""
         if weights is not None:
-            run, what = _write_run(path, task, weights, lost, command, display, report)
+            run, what = _write_run(path, task, weights, mapping.lost, command, display, report)
         write(path, {"README.md": _readme(path.name, folder, what, report)})
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
@@ -90,64 +97,75 @@ def import_run(
     return Imported(path, run, what, report)
 
 
-def _write_project(
-    draft: Path,
+def _convert(
     folder: RunFolder,
     robot: Path,
     weights: PolicyWeights | None,
     author: AuthorTerms,
     report: ImportReport,
-    names: Path | None,
-) -> tuple[dict[str, Any], list[str]]:
-    """Write the files of the project, and return its task and the observation groups that lack a term."""
-    name, copied = draft.name, copy_robot(robot, draft / "assets" / draft.name)
-    description, _ = read(copied, "auto", {})
-    dofs = {dof.name: dof for body in description.bodies for dof in body.dofs}
+    names: Mapping[str, str],
+) -> tuple[EnvMapping, dict[str, Any]]:
+    """Return the converted robot and environment, and the config section ``agent``."""
+    bodies = read(robot, "auto", {})[0].bodies
+    dofs = {dof.name: dof for body in bodies for dof in body.dofs}
     try:
-        tree, agent_tree = folder.config, folder.agent
+        tree, settings = folder.config, folder.agent
         if folder.kind != "env.yaml":
-            tree = as_isaac_lab(folder, copied, dofs, report)
+            tree = as_isaac_lab(folder, robot, dofs, report)
         clip = tree.pop("clip_actions", None)
-        table, links = {} if names is None else read_names(names), [body.name for body in description.bodies]
-        mapping = EnvMapping(tree, dofs, author.target, report, table, links)
+        mapping = EnvMapping(tree, dofs, author.target, report, names, [body.name for body in bodies])
         mapping.convert()
-        for network in mapping.networks:
-            _copy_network(network, [folder.path, folder.config_file.parent, robot.parent], copied.parent)
         if folder.joint_order is not None and sorted(folder.joint_order) == sorted(dofs):
             mapping.robot["joint_order"] = folder.joint_order
             report.add("joint_order", RULE, "the order in IO_descriptors.yaml")
-        if agent_tree is not None and not is_runner(agent_tree):
+        if settings is not None and not is_runner(settings):
             report.add("agent.yaml", DROPPED, "the settings of another library than rsl_rl")
-            agent_tree = None
-        agent = convert_agent(agent_tree, list(mapping.env["observations"]), weights, report)
-        agent |= {"clip_actions": clip} if clip is not None else {}
-    except WheellegError:
-        raise
+            settings = None
+        agent = convert_agent(settings, list(mapping.env["observations"]), weights, report)
     except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
         raise malformed(folder.config_file, error) from error
-    if mapping.lost and weights is not None:
-        lost = [group for group in agent["obs_groups"]["actor"] if group in mapping.lost]
-        if lost:
-            keys = [row.key for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
-            key = next(key for key in keys if key.startswith(f"observations.{lost[0]}."))
-            expected = "--terms FOLDER with the author's Python code"
-            raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
-    mapping.env["terminations"].setdefault(
-        "non_finite_state", {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
-    )
-    asset = {"profile": name, "asset": f"{name}/{copied.name}"}
+    return mapping, agent if clip is None else agent | {"clip_actions": clip}
+
+
+def _require_observed(lost: Sequence[str], agent: Mapping[str, Any], report: ImportReport) -> None:
+    """Raise ConfigError if the policy observes a group that lacks a term."""
+    group = next((group for group in agent["obs_groups"]["actor"] if group in lost), None)
+    if group is not None:
+        rows = [row for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
+        key = next(row.key for row in rows if row.key.startswith(f"observations.{group}."))
+        expected = "--terms FOLDER with the author's Python code"
+        raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
+
+
+def _write_project(
+    draft: Path, robot: str, mapping: EnvMapping, agent: dict[str, Any], author: AuthorTerms
+) -> dict[str, Any]:
+    """Write the files of the project, and return its task. ``robot`` is the name of the robot file."""
+    name = draft.name
+    finite = {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
+    mapping.env["terminations"].setdefault("non_finite_state", finite)
     task: dict[str, Any] = {"defaults": [{"/robot": name}, {"/sim": "parity"}, "_self_"]}
     task |= {"task": {"name": name}, "env": mapping.env, "agent": agent}
     if mapping.seed is not None:
         task["seed"] = mapping.seed
+    asset = {"profile": name, "asset": f"{name}/{robot}"}
     texts = {f"configs/robot/{name}.yaml": _ROBOT + dump_yaml(asset | mapping.robot)}
-    texts[f"configs/task/{name}.yaml"] = _TASK + dump_yaml(task)
     common = project_files(name, asset["asset"], [])
     texts |= {file: common[file] for file in ("pyproject.toml", ".gitignore", f"{name}/__init__.py")}
     texts |= {f"{name}/{module}.py": text for module, text in author.modules().items()}
     write(draft, texts)
+    _write_task(draft, task)
+    return task
+
+
+def _write_task(project: Path, task: dict[str, Any]) -> None:
+    write(project, {f"configs/task/{project.name}.yaml": _TASK + dump_yaml(task)})
+
+
+def _remove_failing_terms(draft: Path, task: dict[str, Any], report: ImportReport) -> None:
+    """Check the task without those of the author's terms that fail; raise all other mistakes."""
     try:
-        while mistakes := find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])[1]:
+        while mistakes := find_mistakes([f"task={draft.name}"], config_dirs=[draft / projects.CONFIGS])[1]:
             removed = [_without_failing_term(draft, task, mistake, report) for mistake in mistakes]
             if not any(removed):
                 for mistake in mistakes:
@@ -155,7 +173,6 @@ def _write_project(
                 raise_all(mistakes)
     finally:
         projects.forget(draft)
-    return task, mapping.lost
 
 
 def _write_run(
@@ -220,9 +237,8 @@ def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights, report: I
     if given != needed:
         message = f"the policy has {needed[0]} observations and {needed[1]} actions, the task {given[0]} and {given[1]}"
         terms = ", ".join(f"{name} {dim}" for name, dim in zip(manager.active_terms[group], dims, strict=True))
-        raise RunDirectoryError(
-            message, key=str(weights.path), expected=f"the policy of the run; observations: {terms}"
-        )
+        expected = f"the policy of the run; observations: {terms}"
+        raise RunDirectoryError(message, key=str(weights.path), expected=expected)
     if composed.config["env"]["robot"]["joint_order"] is None:
         names = ", ".join(env.scene.robot.joint_names)
         report.add("joint_order", ASSUMED, f"{names}: breadth first in the robot file; set joint_order to change it")
@@ -245,7 +261,7 @@ def _without_failing_term(path: Path, task: dict[str, Any], error: WheellegError
         return False
     del section[parts[2]]
     report.replace(".".join(parts[1:3]), CODE, f"the copied function fails: {error.message}")
-    write(path, {f"configs/task/{path.name}.yaml": _TASK + dump_yaml(task)})
+    _write_task(path, task)
     return True
 
 
