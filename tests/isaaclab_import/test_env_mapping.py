@@ -18,6 +18,17 @@ from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, NOT_NEEDED, RULE, ImportReport
 from wheelleg_exp.plain_data import tagged_yaml_value
 
+LAB_3 = """
+import warp as wp
+from isaaclab_tasks.core.velocity.mdp import feet_slide
+
+
+def effort(env, ids):
+    robot = env.scene["robot"]
+    robot.set_joint_position_target_index(target=wp.to_torch(robot.data.joint_pos))
+    slide = feet_slide(env) + env.scene.sensors["feet"].data.net_normal_forces_w_history.torch[:, 0]
+    return robot.actuators.applied_effort.torch[:, ids].sum(1) + slide
+"""
 DOFS = {dof.name: dof for body in read(ROBOT, "auto", {})[0].bodies for dof in body.dofs}
 
 
@@ -98,11 +109,54 @@ def test_values() -> None:
     assert {key: outcomes.get(key) for key in expected} == expected
 
 
-def test_isaac_lab_3_has_other_quaternions() -> None:
-    text = changed(changed(ENV, "sim.physx", None), "sim.physics", {"solver": "newton"})
-    mapping, _, report = converted(changed(text, "scene.robot.init_state.rot", [0.1, 0.2, 0.3, 0.9]), AGENT)
-    assert mapping.robot["init_state"]["rot"] == [0.9, 0.1, 0.2, 0.3]
-    assert any(row.key == "scene.robot.init_state.rot" and row.outcome == RULE for row in report.rows)
+def test_what_isaac_lab_3_writes_differently() -> None:
+    robot, legs, wheels = "scene.robot", "scene.robot.actuators.legs", "scene.robot.actuators.wheels"
+    saturation = {".*01": 4.0, ".*02": 5.0}
+    fragments = [
+        {"func": "isaaclab.sim.schemas:apply_namespaced", "enabled_self_collisions": True, "_usd_namespace": "a"},
+        {"self_collision_enabled": True, "_usd_namespace": "newton"},
+    ]
+    gravity = {"delay_min_lag": 1, "delay_max_lag": 2, "delay_hold_prob": 0.5, "params": {}}
+    gravity |= {"func": "isaaclab.envs.mdp.observations:projected_gravity", "history_length": 0}
+    text = ENV
+    for key, value in {
+        "sim.physx": None,
+        "sim.physics": {"solver": "newton"},
+        f"{robot}.spawn.articulation_props": fragments,
+        f"{robot}.spawn.fix_root_link": True,
+        f"{legs}.effort_limit": None,
+        f"{legs}.actuator_effort_limit": 2.5,
+        f"{legs}.velocity_limit": None,
+        f"{legs}.actuator_velocity_limit": 20.0,
+        f"{legs}.joint_effort_limit": 2.2,
+        f"{legs}.saturation_effort": saturation,
+        f"{wheels}.effort_limit_sim": None,
+        f"{wheels}.actuator_effort_limit": 7.0,
+        f"{wheels}.joint_effort_limit": 8.0,
+        "scene.contact_forces.prim_path": "{ENV_REGEX_NS}/Robot/[^/]*",
+        "observations.policy.gravity": gravity,
+        "events.push.resample_interval_on_reset": False,
+        "rewards.air_time.func": "isaaclab_tasks.core.velocity.mdp.rewards:feet_air_time",
+        "commands.base_velocity.vel_xy_success_threshold": 0.5,
+    }.items():
+        text = changed(text, key, value)
+    mapping, _, report = converted(text, AGENT)
+    found, env = mapping.robot, mapping.env
+    assert found["init_state"]["rot"] == [0.0, 1.0, 0.0, 0.0]
+    assert found["base"] == "fixed"
+    assert found["self_collisions"] is True
+    assert found["actuators"]["legs"]["velocity_limit"] == 20.0
+    assert set(found["actuators"]["legs"]["effort_limit"].values()) == {2.2}
+    assert found["actuators"]["legs"]["saturation_effort"] == saturation
+    assert found["actuators"]["wheels"]["effort_limit"] == 8.0
+    assert env["scene"]["sensors"]["contact_forces"]["body_names"] == ["[^/]*"]
+    assert env["observations"]["policy"]["terms"]["gravity"]["delay"] == [4, 8]
+    assert env["rewards"]["air_time"]["_target_"].endswith(".feet_air_time")
+    rows = {row.key: row.text for row in report.of(DROPPED)}
+    assert "0.5" in rows["observations.policy.gravity.delay_hold_prob"]
+    assert "resample_interval_on_reset" in rows["events.push"]
+    assert "7.0" in rows["scene.robot.actuators.wheels.actuator_effort_limit"]
+    assert not [row for row in report.rows if "success_threshold" in row.key + row.text]
 
 
 def test_other_names() -> None:
@@ -200,3 +254,15 @@ def test_author_terms(tmp_path: Path) -> None:
     assert "FACTOR = 0.5" in modules["rewards"]
     assert "from wheelleg_exp.isaaclab.managers import SceneEntityCfg" in modules["rewards"]
     assert "from mine.helpers import squared as power_two" in modules["rewards"]
+
+
+def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:
+    (tmp_path / "rewards.py").write_text(LAB_3)
+    author = AuthorTerms(tmp_path, "new")
+    assert author.target("lab.rewards:effort") == "new.rewards.effort"
+    text = author.modules()["rewards"]
+    assert "data.applied_torque[:, ids].sum(1)" in text
+    assert "data.net_forces_w_history)" not in text
+    assert "env.scene.sensors['feet'].data.net_forces_w_history[:, 0]" in text
+    assert "robot.set_joint_position_target(target=robot.data.joint_pos)" in text
+    assert "from wheelleg_exp.isaaclab_tasks.manager_based.locomotion.velocity.mdp import feet_slide" in text

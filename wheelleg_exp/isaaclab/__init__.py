@@ -113,7 +113,7 @@ _SENSORS = {**_public(sensors), "TiledCamera": sensors.Camera}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
 # Each entry of ``_MODULES`` defines a module: path, docstring, and members. A package precedes its modules.
 _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
-    "actuators": ("The actuator models.", _public(actuators)),
+    **{name: ("The actuator models.", _public(actuators)) for name in ("actuators", "actuators.actuator_pd")},
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),
     "assets.articulation": ("The robot.", _ROBOT),
     "assets.articulation.articulation": ("The robot.", _ROBOT),

@@ -18,7 +18,9 @@ from wheelleg_exp.files import read_text
 _MOST_FILES = 20_000
 _PACKAGES = ("isaaclab", "isaaclab_tasks")
 _LIBRARIES = ("torch", "numpy", "math", "typing", "collections", "dataclasses", "scipy")
+_VELOCITY = "isaaclab_tasks.manager_based.locomotion.velocity"
 _OLD = {"omni.isaac.lab_tasks": "isaaclab_tasks", "omni.isaac.lab": "isaaclab"}
+_OLD |= {"isaaclab_tasks.core.velocity": _VELOCITY, "isaaclab_tasks.contrib.velocity": _VELOCITY}  # of Isaac Lab 3.0
 
 
 class AuthorTerms:
@@ -74,7 +76,7 @@ class AuthorTerms:
     def _definitions(self, file: Path) -> dict[str, ast.stmt]:
         if file not in self._trees:
             try:
-                self._trees[file] = _adapted(ast.parse(read_text(file)))
+                self._trees[file] = _adapted(_OfVersion3().visit(ast.parse(read_text(file))))
             except (SyntaxError, ValueError, RecursionError, WheellegError):
                 self._trees[file] = ast.Module([], [])
         return {name: part for part in self._trees[file].body for name in _defined(part)}
@@ -179,6 +181,21 @@ def _adapted(tree: ast.Module) -> ast.Module:
             for item in part.names:
                 item.name = _moved(item.name)
     return tree
+
+
+class _OfVersion3(ast.NodeTransformer):
+    """Replace what only Isaac Lab 3.0 has: ``x.torch`` and ``wp.to_torch(x)`` become ``x``, and names become older."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        self.generic_visit(node)
+        node.attr = re.sub(r"(_to_sim|_target)_index$", r"\1", node.attr.replace("normal_force", "force"))
+        if isinstance(node.value, ast.Attribute) and node.value.attr == "actuators" and node.attr.endswith("_effort"):
+            node.value.attr, node.attr = "data", node.attr.replace("_effort", "_torque")
+        return node.value if node.attr == "torch" else node
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        self.generic_visit(node)
+        return node.args[0] if isinstance(node.func, ast.Attribute) and node.func.attr == "to_torch" else node
 
 
 def _configs(part: ast.AST) -> set[str]:

@@ -29,9 +29,12 @@ from wheelleg_exp.sim.names import values_by_name
 Tree = Mapping[str, Any]
 _DRAWN = "nothing is drawn during training"
 _STAGE = "there is no Omniverse stage"
-_PHYSX = "a setting of PhysX; MuJoCo solves contacts differently"
+_PHYSX = "a setting of the physics engine; MuJoCo solves contacts differently"
 _ROOT_DROPPED = {
-    _DRAWN: ("viewer", "ui_window_class_type", "rerender_on_reset", "num_rerenders_on_reset", "wait_for_textures"),
+    _DRAWN: (
+        *("viewer", "ui_window_class_type", "rerender_on_reset", "num_rerenders_on_reset", "wait_for_textures"),
+        *("class_type", "video_recorders"),
+    ),
     "teleoperation is not part of a task": ("xr", "teleop_devices"),
     "runs are recorded in their own format": ("recorders", "export_io_descriptors", "log_dir"),
 }
@@ -40,18 +43,23 @@ _SIM_DROPPED = {
         *("device", "render_interval", "render", "use_fabric", "enable_scene_query_support", "create_stage_in_memory"),
     ),
     _STAGE: ("physics_prim_path", "logging_level", "save_logs_to_file", "log_dir", "visualizer_cfgs"),
-    _PHYSX: ("physx", "physics", "disable_contact_processing", "use_gpu_pipeline"),
+    _PHYSX: ("physx", "physics", "disable_contact_processing", "use_gpu_pipeline", "use_newton_actuators"),
 }
-_SCENE_DROPPED = ("lazy_sensor_update", "replicate_physics", "filter_collisions", "clone_in_fabric")
+_SCENE_DROPPED = (
+    *("lazy_sensor_update", "replicate_physics", "filter_collisions", "clone_in_fabric", "class_type", "clone_cfg"),
+)
 _SPAWN_DROPPED = (
     *("func", "visible", "semantic_tags", "copy_from_source", "activate_contact_sensors", "visual_material_path"),
     *("visual_material", "make_instanceable", "force_usd_conversion", "usd_dir", "usd_file_name", "merge_fixed_joints"),
+    "physics_material_path",
 )
 # Keys of the robot, the terrain, and sensors that do not change the simulation.
 _UNUSED = (
     *("class_type", "prim_path", "articulation_root_prim_path", "collision_group", "debug_vis", "visualizer_cfg"),
     *("visual_material", "color_scheme", "use_cache", "cache_dir", "num_envs", "env_spacing", "use_terrain_origins"),
-    *("actuator_value_resolution_debug_print", "mesh_prim_paths"),
+    *("actuator_value_resolution_debug_print", "mesh_prim_paths", "spawn", "global_world_only", "use_cuda_graph"),
+    *("normal_force_visualizer_cfg", "friction_force_visualizer_cfg", "force_visualization_scale"),
+    "convert_to_heightfield",
     *("max_contact_data_count_per_prim", "max_contact_data_per_prim"),
 )
 # PhysX combines two materials with the mode of higher priority.
@@ -201,14 +209,15 @@ class EnvMapping:
 
     def _robot(self, part: Section) -> None:
         spawn, init, actuators = part.section("spawn"), part.section("init_state"), part.section("actuators")
-        articulation = spawn.section("articulation_props")
-        fixed = articulation.take("fix_root_link", spawn.take("fix_base"))
+        articulation = spawn.joined("articulation_props")
+        fixed = articulation.take("fix_root_link", spawn.take("fix_root_link", spawn.take("fix_base")))
         state = {
             "pos": init.take("pos", [0.0, 0.0, 0.0]),
             "rot": self._quaternion(init.take("rot"), "scene.robot.init_state.rot"),
             "joint_pos": _per_joint(init.take("joint_pos", {".*": 0.0})),
             "joint_vel": _per_joint(init.take("joint_vel", {".*": 0.0})),
         }
+        collide = articulation.take("self_collision_enabled")
         self._require_joints({**state["joint_pos"], **state["joint_vel"]})
         self.robot |= {
             "base": "fixed" if fixed else "floating",
@@ -216,7 +225,7 @@ class EnvMapping:
             "joint_order": part.take("joint_order"),
             "soft_joint_pos_limit_factor": part.take("soft_joint_pos_limit_factor", 1.0),
             "friction_source": "static",
-            "self_collisions": articulation.take("enabled_self_collisions"),
+            "self_collisions": articulation.take("enabled_self_collisions", collide),
         }
         source = spawn.take("usd_path", spawn.take("asset_path"))
         if source:
@@ -243,12 +252,22 @@ class EnvMapping:
         accepted, expressions = parameters_of(node["_target_"], part.key), _listed(node["joint_names_expr"])
         self._require_joints(expressions)
         joints = [name for name in self._dofs if _matches(expressions, name)]
+        # Isaac Lab 3.0 has ``actuator_effort_limit`` and ``joint_effort_limit`` instead of ``effort_limit(_sim)``.
         effort, velocity = part.take("effort_limit"), part.take("velocity_limit")
-        engine_velocity = part.take("velocity_limit_sim")
+        engine_effort, engine_velocity = (
+            part.take(f"joint_{name}", part.take(f"{name}_sim")) for name in ("effort_limit", "velocity_limit")
+        )
         if kind == "ImplicitActuator":
-            effort = part.take("effort_limit_sim", effort)
+            effort, engine_effort = effort if engine_effort is None else engine_effort, None
             velocity = None  # Isaac Lab ignores the velocity limit of an implicit actuator.
-        engine_effort = part.take("effort_limit_sim")
+            part.drop(
+                ["actuator_effort_limit", "actuator_velocity_limit"], "a drive in the solver has joint limits only"
+            )
+        else:
+            effort, velocity = (
+                part.take("actuator_effort_limit", effort),
+                part.take("actuator_velocity_limit", velocity),
+            )
         values = {"effort_limit": effort, "velocity_limit": engine_velocity if velocity is None else velocity}
         values |= {name: part.take(name, gains.get(name)) for name in ("stiffness", "damping")}
         for name, value in values.items():
@@ -351,7 +370,7 @@ class EnvMapping:
         node |= part.take_if_known(parameters_of(node["_target_"], part.key))
         self._report.add(part.key, NAME, kind)
         part.drop(["slope_threshold"], "the tile has slopes")
-        part.finish(skip=("size", "vertical_scale"))
+        part.finish(skip=("size", "vertical_scale", "convert_to_heightfield"))
         return node
 
     def _contact_sensor(self, part: Section) -> dict[str, Any]:
@@ -406,7 +425,8 @@ class EnvMapping:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
         if str(prim_path).startswith("/World/ground"):
             return ["ground"]
-        return self._names.of(str(prim_path or ".*").rsplit("/", 1)[-1], "link")
+        last = re.split(r"/(?![^\[]*\])", str(prim_path or ".*"))[-1]  # a set such as [^/] can contain the separator
+        return self._names.of(last, "link")
 
 
 def _spawn(node: Any) -> Mapping[str, Any]:

@@ -84,6 +84,14 @@ class Section:
         """Return and remove the mapping of a key."""
         return Section(self.take(name), self._key_of(name), self._report)
 
+    def joined(self, name: str) -> Section:
+        """Return and remove the mapping of a key, or the union of a list of mappings, as Isaac Lab 3.0 writes it."""
+        value = self.left.get(name)
+        if isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
+            pairs = [pair for item in value for pair in item.items()]
+            self.left[name] = {key: setting for key, setting in pairs if key != "func" and not key.startswith("_")}
+        return self.section(name)
+
     def sections(self) -> Iterator[tuple[str, Section]]:
         """Yield and remove all remaining keys that are not null, with their mappings."""
         for name, value in self.items():

@@ -14,8 +14,11 @@ from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_
 
 KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum")
 _STOCK = re.compile(
-    r"(omni\.isaac\.lab|isaaclab)\.|(omni\.isaac\.lab_tasks|isaaclab_tasks)\.manager_based\.locomotion\.velocity\.mdp\b"
+    r"(omni\.isaac\.lab|isaaclab)\.|"
+    r"(omni\.isaac\.lab_tasks|isaaclab_tasks)\.(manager_based\.locomotion|core|contrib)\.velocity\.mdp\b"
 )
+# Settings of commands that only change the log and what is drawn.
+_SHOWN = re.compile(r"debug_vis|marker_pos_offset|.*visualizer_cfg|.*success_threshold")
 NOISES = {"uniform_noise": "UniformNoise", "gaussian_noise": "GaussianNoise", "constant_noise": "ConstantNoise"}
 _NOISE_KEYS = ("noise", "noise_cfg", "bias_noise_cfg")
 _OWN = "wheelleg_exp."
@@ -82,15 +85,20 @@ class TermMapping:
             return None
         node: dict[str, Any] = {"_target_": target}
         node |= {key: self._value(key, value) for key, value in part.take_if_known(RESERVED[kind]).items()}
+        if kind == "observations":
+            node |= self._delay(part)
         if kind == "events" and node.get("mode") != "interval":
             _remove(node, "interval_range_s", "is_global_time")
+            _remove(part.left, "resample_interval_on_reset")
+        elif kind == "events" and part.take("resample_interval_on_reset", True) is False:
+            self._report.add(part.key, DROPPED, "resample_interval_on_reset: timers start anew with each episode here")
         if kind == "events" and node.get("mode") != "reset":
             _remove(node, "min_step_count_between_reset")
         parameters = part.section("params")
         if kind in ("actions", "commands"):
             parameters = part
             self._change_period(part)
-            _remove(part.left, *[key for key in part.left if key == "debug_vis" or key.endswith("visualizer_cfg")])
+            _remove(part.left, *filter(_SHOWN.fullmatch, part.left))
         node |= self._parameters(parameters, target)
         if kind == "actions" and not node.get("preserve_order") and "joint_names" in node:
             node["joint_names"] = _one_expression(node["joint_names"])
@@ -100,6 +108,18 @@ class TermMapping:
         else:
             self._report.add(part.key, RULE, f"{source} became {target}")
         return node
+
+    def _delay(self, part: Section) -> dict[str, Any]:
+        """Return the delay of an observation, which Isaac Lab 3.0 counts in control steps."""
+        lags = [part.take("delay_min_lag", 0), part.take("delay_max_lag", 0)]
+        hold = part.take("delay_hold_prob", 1.0)
+        if not lags[1]:
+            return {}
+        if hold != 1.0:
+            self._report.add(f"{part.key}.delay_hold_prob", DROPPED, f"{hold}: the lag is constant in an episode here")
+        delay = [lag * self._env["decimation"] for lag in lags]
+        self._report.add(f"{part.key}.delay_max_lag", RULE, f"{lags} control steps became {delay} physics steps")
+        return {"delay": delay}
 
     def _change_period(self, part: Section) -> None:
         """Replace a period of 0 s between draws of a command by the control step, which has the same effect."""

@@ -45,7 +45,7 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
         numbers = {key: [finite(value) for value in getattr(group, key)[0].tolist()] for key in _DRIVE_KEYS}
         spec: dict[str, Any] = {"name": name, "law": drive_law(group), "class": type(group).__name__}
         spec |= {"joint_names": list(group.joint_names), "joint_ids": group.joint_ids.tolist(), **numbers}
-        spec |= {"saturation_effort": node.get("saturation_effort")}
+        spec |= {"saturation_effort": group._saturation.tolist() if isinstance(group, actuators.DCMotor) else None}
         delay = node.get("delay") or ([node["min_delay"], node["max_delay"]] if "max_delay" in node else None)
         found.append(spec | {"trained_with": {"delay_steps": delay}})
     return found

@@ -91,7 +91,7 @@ class ActuatorBase(Stateful):
         per_joint: dict[str, list[Any]] = {}
         for name, values in self._config.items():
             per_joint[name] = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
-            for error in valueless_errors(values, self.joint_names, f"{key}.{name}") if name in NEEDED else ():
+            for error in valueless_errors(values, self.joint_names, f"{key}.{name}") if name not in _MECHANICAL else ():
                 raise error
         self.stiffness, self.damping, self.effort_limit, self.velocity_limit = (
             torch.tensor(per_joint[name], dtype=torch.float32, device=device) for name in NEEDED

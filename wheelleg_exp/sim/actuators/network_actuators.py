@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 from zipfile import BadZipFile, ZipFile
@@ -126,7 +126,7 @@ class ActuatorNet(DCMotor):
         network_file: PathBelow,
         effort_limit: LimitPerJoint,
         velocity_limit: LimitPerJoint,
-        saturation_effort: Positive,
+        saturation_effort: Positive | Mapping[str, Positive],
         armature: PerJoint | None = None,
         delay: Delay | None = None,
         friction: PerJoint | None = None,
@@ -168,7 +168,7 @@ class ActuatorNetMLP(ActuatorNet):
         network_file: PathBelow,
         effort_limit: LimitPerJoint,
         velocity_limit: LimitPerJoint,
-        saturation_effort: Positive,
+        saturation_effort: Positive | Mapping[str, Positive],
         pos_scale: float,
         vel_scale: float,
         torque_scale: float,

@@ -88,8 +88,10 @@ class DCMotor(IdealPDActuator):
     Args:
         effort_limit: largest torque at any speed, N·m.
         velocity_limit: speed at which the motor has no torque, rad/s.
-        saturation_effort: stall torque of the motor's line, N·m.
+        saturation_effort: stall torque of the motor's line, N·m; a number, or one by joint expression.
     """
+
+    settings = (*IdealPDActuator.settings, "_saturation")
 
     def __init__(
         self,
@@ -98,7 +100,7 @@ class DCMotor(IdealPDActuator):
         damping: PerJoint,
         effort_limit: LimitPerJoint,
         velocity_limit: LimitPerJoint,
-        saturation_effort: Positive,
+        saturation_effort: Positive | Mapping[str, Positive],
         armature: PerJoint | None = None,
         delay: Delay | None = None,
         friction: PerJoint | None = None,
@@ -106,7 +108,11 @@ class DCMotor(IdealPDActuator):
     ) -> None:
         limits = (effort_limit, velocity_limit)
         super().__init__(joint_names_expr, stiffness, damping, *limits, armature, delay, friction, viscous_friction)
-        self._saturation = saturation_effort
+        self._config["saturation_effort"] = saturation_effort
+
+    def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
+        super().resolve(joint_names, key, device)
+        self._saturation = torch.tensor(self._per_joint["saturation_effort"], dtype=torch.float32, device=device)
 
     def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
         beyond = self.velocity_limit * (1 + self.effort_limit / self._saturation)

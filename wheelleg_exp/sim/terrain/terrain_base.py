@@ -85,6 +85,7 @@ class TerrainBase(Kept):
     max_init_terrain_level: int | None = None
     size: tuple[float, float] = (math.inf, math.inf)
     border_width: float = 0.0
+    difficulty_range: tuple[float, float] = (0.0, 1.0)
 
     def __init__(self, static_friction: NonNegative, dynamic_friction: NonNegative, restitution: Share) -> None:
         self.static_friction = static_friction
@@ -99,6 +100,7 @@ class TerrainBase(Kept):
             return SimpleNamespace(terrain_type="plane", terrain_generator=None)
         rows, cols = self.terrain_origins.shape[:2]
         tiles = SimpleNamespace(size=self.size, num_rows=rows, num_cols=cols, border_width=self.border_width)
+        tiles.difficulty_range = self.difficulty_range
         return SimpleNamespace(terrain_type="generator", terrain_generator=tiles)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:

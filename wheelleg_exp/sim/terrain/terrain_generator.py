@@ -130,6 +130,7 @@ class TerrainGenerator(TerrainBase):
         self.size = (float(size[0]), float(size[1]))
         self.max_init_terrain_level = max_init_terrain_level
         self.border_width = border_width
+        self.difficulty_range = (difficulty_range[0], difficulty_range[1])
         self._seed = seed
         self._cells = (size[0] / horizontal_scale) * (size[1] / horizontal_scale) * num_rows * num_cols
         self.layout = Layout(
@@ -139,7 +140,7 @@ class TerrainGenerator(TerrainBase):
             horizontal_scale=horizontal_scale,
             vertical_scale=vertical_scale,
             curriculum=curriculum,
-            difficulty_range=(difficulty_range[0], difficulty_range[1]),
+            difficulty_range=self.difficulty_range,
             origin_window=origin_window,
             sub_terrains={name: cast(SubTerrain, part) for name, part in sub_terrains.items() if part is not None},
         )

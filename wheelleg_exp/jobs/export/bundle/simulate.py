@@ -109,7 +109,7 @@ class Robot:
             if drive["law"] != "implicit":  # For implicit actuators, MuJoCo itself computes the PD law.
                 torque = np.clip(torque - kp * q[ids] - kd * qd[ids], -limit, limit)
             if drive["law"] == "dc_motor":
-                stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
+                stall, top = array(drive["saturation_effort"]), array(drive["velocity_limit"], np.inf)
                 beyond = top * (1 + limit / stall)
                 speed = np.clip(qd[ids], -beyond, beyond) / top
                 low, high = np.maximum(stall * (-1 - speed), -limit), np.minimum(stall * (1 - speed), limit)
