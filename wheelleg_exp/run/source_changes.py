@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nul
 
-_SHOWN_REASONS, _SHOWN_PATHS = 5, 3
+_SHOWN_REASONS = 5
 _ABSENT = "000000"
 
 State = str | None  # A file's state is its git mode and blob id as text, or None if the git tree lacks the file.
@@ -25,7 +25,7 @@ class FileChanges:
 
     def __str__(self) -> str:
         kinds = ((self.changed, "changed"), (self.added, "added"), (self.removed, "removed"))
-        return "; ".join(f"{word} {_first(paths, _SHOWN_PATHS)}" for paths, word in kinds if paths)
+        return "; ".join(f"{word} {first_few(paths)}" for paths, word in kinds if paths)
 
 
 def source_lines(content: Mapping[str, Any]) -> list[str]:
@@ -36,7 +36,8 @@ def source_lines(content: Mapping[str, Any]) -> list[str]:
         missing = [f"{entry['path']!r} ({entry['reason']})" for entry in record["refused"]]
         missing += [f"{entry['path']!r} (it is a submodule)" for entry in record["submodules"]]
         if missing:
-            lines.append(f"warning: not captured of the source of {record['root']}: {_first(missing, _SHOWN_REASONS)}")
+            names = first_few(missing, _SHOWN_REASONS)
+            lines.append(f"warning: not captured of the source of {record['root']}: {names}")
     return lines
 
 
@@ -123,6 +124,7 @@ def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[St
     return None
 
 
-def _first(names: list[str], shown: int) -> str:
+def first_few(names: Sequence[str], shown: int = 3) -> str:
+    """Return a text with the first few of the given names and the number of the remaining names."""
     more = len(names) - shown
     return ", ".join(names[:shown]) + (f" and {more} more" if more > 0 else "")

@@ -22,8 +22,9 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_bytes, read_json
 from wheelleg_exp.plain_data import require_bounded
 from wheelleg_exp.run.run_directory import RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.source_changes import first_few
 from wheelleg_exp.verify.run_differences import plain_changes
-from wheelleg_exp.verify.run_parts import Part, some
+from wheelleg_exp.verify.run_parts import Part
 
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
@@ -148,7 +149,7 @@ def _compare(a: Path | None, b: Path | None) -> str:
     try:
         if a.suffix == ".json":
             changes = plain_changes(read_json(a), read_json(b))
-            return f"differs in {some([change.key for change in changes])}" if changes else _EQUAL_CONTENT
+            return f"differs in {first_few([change.key for change in changes])}" if changes else _EQUAL_CONTENT
         sides: Sequence[Callable[[Path], Any]] = (_onnx_weights, _onnx_graph)
         if a.suffix != ".onnx":
             sides = (_archived_weights, _archived_code)
