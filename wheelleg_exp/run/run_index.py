@@ -40,7 +40,6 @@ _PIPELINE_TYPES |= {"config": {"phases": dict}, "phases": [_PHASE_TYPES]}
 
 JobStatus = Literal["waiting", "running", "finished", "failed", "interrupted"]
 SweepStatus = Literal["finished", "failed", "interrupted"]
-PhaseStatus = Literal["waiting", "training", "passed", "failed"]
 PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
 
 
