@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.errors import WheellegError, nearest_name
 from wheelleg_exp.inspection.row_selection import Selection, nothing_chosen
-from wheelleg_exp.recording.layout import BRANCH, ITERATION, SIM_TIME, STEP, unit
+from wheelleg_exp.recording.layout import BRANCH, unit
+from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.number_groups import Number
 from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 
@@ -81,9 +82,6 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
     return Statistics(*counts, mean, std, rms, *extremes, quantiles, low_at, high_at, first, last)
 
 
-TIMES = (STEP, SIM_TIME, ITERATION)
-
-
 @dataclass(frozen=True)
 class Frames:
     """Recorded rows of one environment. The columns of ``table`` are timelines and recorded numbers (float64)."""
@@ -97,7 +95,7 @@ class Frames:
     @property
     def names(self) -> list[str]:
         """The names of the recorded numbers in a table of frames."""
-        return [name for name in self.table.column_names if name not in TIMES]
+        return [name for name in self.table.column_names if name not in TIMELINES]
 
     def column(self, name: str) -> NDArray:
         """Return the n values, (n,), of the recorded number or timeline with the given name."""
@@ -106,7 +104,7 @@ class Frames:
     def moment(self, row: int) -> Moment:
         """Return the control step, simulated time, and training iteration at which a row was recorded."""
         present = self.table.column_names
-        step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMES)
+        step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMELINES)
         return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:

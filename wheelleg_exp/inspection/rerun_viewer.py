@@ -34,12 +34,8 @@ from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
 from wheelleg_exp.rendering.renderer import NoGraphics
 
-_CAUSES = (
-    "adapter",
-    "panic",
-    "error",
-    "failed",
-)  # If Rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
+# If Rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
+_CAUSES = ("adapter", "panic", "error", "failed")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
