@@ -193,11 +193,7 @@ class Source:
 
     def target_height(self) -> float | None:
         """Return the base's target height, m, from the recorded reward terms; None if no term has a target height."""
-        for term in _mapping(_mapping(self.config.get("env")).get("rewards")).values():
-            height = as_number(_mapping(term).get("target_height"))
-            if height is not None:
-                return height
-        return None
+        return target_height(_mapping(self.config.get("env")).get("rewards"))
 
     def drive(self, joint: str, name: str) -> float | None:
         """Return a property of a joint's actuator, such as ``effort_limit``; None if the property was not recorded."""
@@ -221,6 +217,12 @@ def chosen_rows(
     if iteration is not None:
         columns[ITERATION] = iteration
     return np.asarray(selection.apply(pa.table(columns)).column("row"), dtype=np.intp)
+
+
+def target_height(rewards: Any) -> float | None:
+    """Return the base's target height, m, from the config section of the reward terms; None without a target height."""
+    heights = (as_number(_mapping(term).get("target_height")) for term in _mapping(rewards).values())
+    return next((height for height in heights if height is not None), None)
 
 
 def drawable(values: Any) -> Numbers:

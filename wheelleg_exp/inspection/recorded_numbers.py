@@ -6,8 +6,7 @@ An example of a recorded number's name is ``rewards.base_height``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
@@ -55,10 +54,6 @@ class Statistics:
     maximum_at: Moment | None
     first_at: Moment | None
     last_at: Moment | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the statistics of a recorded number as a dictionary for JSON."""
-        return asdict(self)
 
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
@@ -201,17 +196,9 @@ def is_of_env(number: Number) -> bool:
     return BRANCH.match(number.entity) is not None
 
 
-@dataclass(frozen=True)
-class NumberEntry:
-    """One recorded number: its name, and its number of rows."""
-
-    name: str
-    rows: int
-
-
-def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """Return one environment's numbers, and numbers that all environments share, such as training scalars, by name."""
-    return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
+def number_rows(recording: Recording, env_id: int | None) -> dict[str, int]:
+    """Return how many rows each number of an environment has, and each number that all environments share, by name."""
+    return {name: recording.count(number.entity) for name, number in recording.all_numbers(env_id).items()}
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:

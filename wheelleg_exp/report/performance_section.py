@@ -47,10 +47,11 @@ def health(recording: Recording) -> list[Block]:
 
 
 def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
-    rows = [
-        [Cell(e.name, code=True), *(Cell(_with(value, e.name), number=True) for value in (e.rmse, e.mean, e.largest))]
-        for e in errors
-    ]
+    rows = []
+    for error in errors:
+        unit = _UNITS.get(error.name, "")
+        texts = [f"{number(value)} {unit}".strip() for value in (error.rmse, error.mean, error.largest)]
+        rows.append([Cell(error.name, code=True), *(Cell(text, number=True) for text in texts)])
     columns = ("Velocity", *map(capital, recorded_headings("tracking", "rmse", "mean", "largest")))
     return [Table("Velocities against their commands", columns, rows)] if rows else []
 
@@ -82,10 +83,6 @@ def _numbers(*values: float) -> list[Cell]:
 def _saturated(share: float | None) -> Cell:
     tone = "" if share is None or share < _HIGH else "warn" if share < _FULL else "bad"
     return Cell("–") if share is None else Cell(percent(share), bar=share, tone=tone)  # type: ignore[arg-type]
-
-
-def _with(value: float, name: str) -> str:
-    return f"{number(value)} {_UNITS.get(name, '')}".strip()
 
 
 _FORMATS: Mapping[str, Callable[[Any], str]] = {
